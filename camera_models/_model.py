@@ -60,7 +60,8 @@ class CameraModel(ABC):
     OPTIONAL_TERMS: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Parameters that a lens may do without (zero), from those that it needs first to those that it needs last."""
 
-    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
+    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int], *, trial: bool = False) -> None:
+        """With `trial` the numbers are those that a fit tries, which may be of no camera."""
         given = as_tensor(parameters)
         # A camera does not change where the array that it was made from does.
         self.parameters: Tensor = given if given.requires_grad else given.clone()
@@ -70,8 +71,7 @@ class CameraModel(ABC):
                 f"Camera model {self.NAME} expects the {len(self.PARAMETER_NAMES)} parameters "
                 f"{' '.join(self.PARAMETER_NAMES)}, found {tuple(self.parameters.shape)}; give one number for each."
             )
-        # A fit, whose parameters are tensors, may pass through numbers that are no camera.
-        if not isinstance(parameters, Tensor):
+        if not trial:
             self._require_numbers()
 
     def _require_numbers(self) -> None:
@@ -224,8 +224,9 @@ class CameraModel(ABC):
         return " ".join([self.NAME, *(f"of {name} {value}" for name, value in self.variant.items())])
 
     def with_parameters(self, parameters: Array | Sequence[float | int]) -> "CameraModel":
-        """The same model and image with another parameter vector."""
-        return type(self)(parameters, self.image_size)
+        """The same model and image with another parameter vector. Of a tensor any numbers are taken, since fits pass through some
+        that are of no camera."""
+        return type(self)(parameters, self.image_size, trial=isinstance(parameters, Tensor))
 
     def named_parameters(self) -> dict[str, float]:
         """Parameter names and values in their order."""

@@ -40,8 +40,15 @@ class Pinhole(CameraModel):
     LARGEST_ANGLE = math.pi / 2
     PARAMETER_NAMES = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
-    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int], coefficients: int = 5) -> None:
-        super().__init__(parameters, image_size)
+    def __init__(
+        self,
+        parameters: Array | Sequence[float | int],
+        image_size: tuple[int, int],
+        coefficients: int = 5,
+        *,
+        trial: bool = False,
+    ) -> None:
+        super().__init__(parameters, image_size, trial=trial)
         self.coefficients = coefficients
         if coefficients not in (0, 5, 8):
             raise InputError(
@@ -78,10 +85,11 @@ class Pinhole(CameraModel):
             powers = t[:, None] ** (2 * torch.arange(terms, dtype=t.dtype) + 1)
             solution = least_squares(powers, rho[:, None])[:, 0]
             f = float(solution[0])
-            k = [*(solution[1:] / f).tolist(), 0.0, 0.0][:2]
-            model = cls([f, f, *centre.tolist(), 0.0, *k, *([0.0] * 6)], image_size, coefficients)
-            if f > 0 and model.max_angle > float(theta[seen].max()) + 0.02:
-                return model
+            if f > 0:
+                k = [*(solution[1:] / f).tolist(), 0.0, 0.0][:2]
+                model = cls([f, f, *centre.tolist(), 0.0, *k, *([0.0] * 6)], image_size, coefficients)
+                if model.max_angle > float(theta[seen].max()) + 0.02:
+                    return model
         f = float((rho * t).sum() / (t * t).sum())
         return cls([f, f, *centre.tolist(), *([0.0] * 9)], image_size, coefficients)
 
@@ -99,8 +107,8 @@ class Pinhole(CameraModel):
         )
 
     def with_parameters(self, parameters: Array | Sequence[float | int]) -> "Pinhole":
-        """The same model and image with another parameter vector."""
-        return type(self)(parameters, self.image_size, self.coefficients)
+        """As of every model, with as many coefficients to estimate."""
+        return type(self)(parameters, self.image_size, self.coefficients, trial=isinstance(parameters, Tensor))
 
     def calibration_basis(self) -> Float[Tensor, "p q"]:
         """fx fy cx cy and the chosen number of distortion coefficients; skew is held."""

@@ -37,7 +37,7 @@ class Scaramuzza(CameraModel):
     NESTED_VARIANTS = True
     AXIS_SIGN_OPEN = True
 
-    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
+    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int], *, trial: bool = False) -> None:
         self.parameters = as_tensor(parameters)
         if self.parameters.ndim != 1 or len(self.parameters) < 7:
             raise InputError(
@@ -46,7 +46,7 @@ class Scaramuzza(CameraModel):
             )
         self.degree = len(self.parameters) - 5
         self.PARAMETER_NAMES = names_of_degree(self.degree)
-        super().__init__(parameters, image_size)
+        super().__init__(parameters, image_size, trial=trial)
         c, d, e, *a = self.parameters[2:]
         one, zero = torch.ones_like(c), torch.zeros_like(c)
         # Made here, not on first use: that may lie inside a `no_grad` block and would then cut the gradients for good.

@@ -32,11 +32,11 @@ class Unified(CameraModel):
     NAME = "unified"
     PARAMETER_NAMES = ("fx", "fy", "cx", "cy", "skew", "xi", "k1", "k2", "p1", "p2")
 
-    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int]) -> None:
-        super().__init__(parameters, image_size)
+    def __init__(self, parameters: Array | Sequence[float | int], image_size: tuple[int, int], *, trial: bool = False) -> None:
+        super().__init__(parameters, image_size, trial=trial)
         # Made here, not on first use: that may lie inside a `no_grad` block and would then cut the gradients for good.
         values = torch.cat([self.parameters[:5], self.parameters[6:], self.parameters.new_zeros(4)])
-        self._pinhole = Pinhole(values, self.image_size)
+        self._pinhole = Pinhole(values, self.image_size, trial=True)
 
     @classmethod
     def from_mapping(cls, parameters: Mapping[str, float], image_size: tuple[int, int]) -> "Unified":

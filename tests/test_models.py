@@ -62,6 +62,8 @@ def test_numbers_that_are_no_camera_are_refused(model):
                 InputError, match=rf"The parameter {name} of camera model {model.NAME} was expected .* found {bad:g}"
             ):
                 model.with_parameters(given)
+        with pytest.raises(InputError, match=rf"{name} of camera model {model.NAME} was expected .* found {bad:g}"):
+            type(model)(torch.tensor(list({**values, name: bad}.values())), model.image_size)
         # A fit may pass through anything.
         assert len(model.with_parameters(torch.tensor(list({**values, name: bad}.values()))).parameters) == len(values)
 
@@ -249,6 +251,13 @@ def test_start_from_a_radial_curve(model):
     start = type(model).from_radial_curve(rho, theta, model.centre_px, model.image_size, mirror=axis_sign(model) < 0)
     off = (start.project(ring)[0] - start.centre_px).norm(dim=-1) - rho
     assert float(off.abs().max()) < 0.05 * float(rho.max())
+
+
+def test_a_curve_whose_best_focal_length_is_below_0_starts_a_pinhole_all_the_same():
+    """Views that are no board's make such curves; the start was refused as parameters that a user had typed."""
+    theta = torch.linspace(0.01, math.radians(60), 100, dtype=torch.float64)
+    start = camera_models.Pinhole.from_radial_curve(500 * (theta / theta[-1]) ** 4, theta, torch.zeros(2).double(), (640, 480))
+    assert float(start.parameters[0]) > 0
 
 
 @EACH

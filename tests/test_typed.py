@@ -162,9 +162,9 @@ def test_what_is_no_number_is_nowhere_seen(model: str) -> None:
 
 
 def test_a_camera_that_is_none_is_neither_used_nor_saved(tmp_path: Path) -> None:
-    """As where it is read from a file."""
+    """As where it is read from a file; a fit may end at one."""
     for focal in (math.nan, -170.0, 0.0):
-        lens = camera_models.OpenCVFisheye(torch.tensor([focal, focal, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0]), (646, 482))
+        lens = LENS.with_parameters(torch.tensor([focal, focal, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0]))
         with pytest.raises(InputError, match="fx of camera cam0"):
             ol.save(tmp_path / "calibration.yaml", {"cam0": lens})
         with pytest.raises(InputError, match="fx of camera cam0"):
