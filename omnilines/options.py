@@ -147,13 +147,17 @@ def _require_in_range(name: str, value: float | int, defaults: tuple[Any, ...], 
         raise InputError(f"{name} was expected to be a number from {low:g} to {high:g}, found {said}; correct it.")
 
 
-def require_ranges(options: Any, usual: Any) -> None:
-    """Raises InputError where a number of options made in Python is beyond what `with_settings` takes beside the `usual` ones."""
-    defaults = {name: value for name, value, _ in walk(usual)}
+def require_ranges(options: Any) -> None:
+    """Raises InputError where a number of options made in Python is beyond what `with_settings` takes."""
+    usual = {name: value for name, value, _ in walk(type(options)())}
     for name, value, _ in walk(options):
-        default = defaults[name]
-        if isinstance(default, int | float) and not isinstance(default, bool) and value != default:
-            _require_in_range(name, value, (default,), f"{value:g}")
+        numbers, defaults = ((one if isinstance(one, tuple) else (one,)) for one in (value, usual[name]))
+        if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in defaults):
+            continue
+        for number in numbers:
+            if number not in defaults:
+                _require_in_range(name, number, defaults, f"{number:g}")
+    _require_ordered(options, "")
 
 
 UNITS = {

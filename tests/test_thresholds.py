@@ -2,10 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from board_views import board_corners, board_views
 
+import omnilines as ol
+from calib_patterns import DetectionOptions
 from camera_models import InputError, OpenCVFisheye
 from omnilines.adjustment.noise import Noise, fitting
 from omnilines.adjustment.options import AdjustmentOptions
@@ -14,7 +17,8 @@ from omnilines.calibration.duplicates import duplicate_views
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.single import calibrate_camera
-from omnilines.calibration.thresholds import CalibrationThresholds
+from omnilines.calibration.thresholds import CalibrationThresholds, NoiseThresholds, StartThresholds, ViewThresholds
+from omnilines.footage.options import FrameOptions
 from omnilines.options import walk, with_settings
 from omnilines.synthetic.lines import circle_world
 
@@ -79,3 +83,41 @@ def test_the_significance_is_that_of_chi_square() -> None:
         out = float((~fitting(whitened, 0.0, 1.0, significance)).to(torch.float64).mean())
         assert 0.6 * significance < out < 1.2 * significance
     assert Noise(1.3, 40.0, True, 1e-3).holds and not Noise(1.3, 40.0, True, 1e-1).holds
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (
+            CalibrationOptions(views=ViewThresholds(least_views=-3)),
+            "views.least_views was expected to be a number from 1",
+        ),
+        (CalibrationOptions(noise=NoiseThresholds(significance=-1.0)), "noise.significance was expected"),
+        (CalibrationOptions(searches=100_000), "searches was expected to be a number from 0 to 100, found 100000"),
+        (CalibrationOptions(start=StartThresholds(half_angles_deg=(25.0, -400.0))), "start.half_angles_deg .* found -400"),
+    ],
+)
+def test_options_made_in_python_have_the_ranges_of_those_set_by_name(options: CalibrationOptions, said: str) -> None:
+    """They went on to calibrations without a result or without an end, or were used as they were."""
+    corners = board_corners(LENS, board_views(LENS, 80, 10, 2), 0.2, 1)
+    with pytest.raises(InputError, match=said):
+        ol.calibrate(corners, image_size=SIZE, options=options)
+    count = len(corners.view_names)
+    several = replace(corners, cameras=("cam0",) * count, frames=corners.view_names)
+    with pytest.raises(InputError, match=said):
+        ol.calibrate_rig(several, SIZE, options)
+
+
+def test_options_of_detection_have_ranges_too() -> None:
+    photos = {"0.png": np.zeros((480, 640), dtype=np.uint8)}
+    wrong = DetectionOptions(min_corners=-1)
+    for look in (ol.detect, ol.detect_rig):
+        with pytest.raises(InputError, match="min_corners was expected to be a number from 1"):
+            look(photos, "checkerboard:8x6:30mm", options=wrong)
+    with pytest.raises(InputError, match="min_corners was expected to be a number from 1"):
+        ol.calibrate(photos, "checkerboard:8x6:30mm", detection=wrong)
+
+
+def test_runs_of_one_video_may_be_none() -> None:
+    """As the sentence of the option says."""
+    assert with_settings(FrameOptions(), ["max_moving_runs=0"]).max_moving_runs == 0

@@ -28,7 +28,7 @@ class FrameOptions(Options):
     it how much earlier one camera began than another. 1: the instant alone."""
     follow: bool = False
     """Whether such runs are taken of one video too: they tell its rolling shutter (`calibrate` with `rolling_shutter`)."""
-    moving_runs: int = 10
+    max_moving_runs: int = 10
     """Of one video of a target, runs around the instants that move most, of those that were looked at, that are looked at for a
     rolling shutter and not taken; 0: none."""
     longest_run_s: float = 1.0

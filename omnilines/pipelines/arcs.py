@@ -70,7 +70,7 @@ def extract(
         >>> arcs.segments.endpoints_px.shape[1:], arcs.segments.covariance_px2.shape[1:]
         ((2, 2), (2, 2, 2))
     """
-    require_ranges(options, ExtractionOptions())
+    require_ranges(options)
     cameras = calibration_of(camera)
     refs = with_masks(photos_of(photos), mask)
     camera_of = cameras_of_photos(refs, cameras, camera_of)

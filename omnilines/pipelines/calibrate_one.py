@@ -12,6 +12,7 @@ from camera_models.typed import typed
 from omnilines.calibration.options import CalibrationFields, CalibrationOptions
 from omnilines.files import Photos, find_photos
 from omnilines.files.masks import Mask
+from omnilines.options import require_ranges
 from omnilines.pipelines.calibrate import CalibrationResult, calibrate_corners
 from omnilines.pipelines.calibrate_lines import LineFields, LineResult, calibrate_lines
 from omnilines.pipelines.detect import detect
@@ -142,6 +143,8 @@ def calibrate(
         raise InputError(
             "`image_size` was expected with a table of corners alone, found it beside another argument; leave it out."
         )
+    for one in (options, detection, lines):
+        require_ranges(one)
     known = {
         "boards": boards is not None,
         "mask": mask is not None,

@@ -27,6 +27,7 @@ from omnilines.calibration.thresholds import ShootingThresholds
 from omnilines.files import write_corners
 from omnilines.files.sets import claimed
 from omnilines.least_squares import Progress
+from omnilines.options import require_ranges
 from omnilines.pipelines.line_delay import require_times
 from omnilines.pipelines.next_views import next_views_of
 from omnilines.pipelines.pages import claimed_report
@@ -256,6 +257,7 @@ def calibrate_rig(
         ['calibration.yaml', 'corners.csv', 'covariance.npz']
     """
     setup = RigSetup(replace(options, **fields), models or {}, boards, start or {}, hold, time_offsets)
+    require_ranges(setup.options)
     if isinstance(corners, RigCorners):
         if image_size is not None:
             raise InputError("`image_size` was expected with a table of corners only, found it with photos; leave it out.")

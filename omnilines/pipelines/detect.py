@@ -16,6 +16,7 @@ from camera_models.pose import Pose
 from camera_models.typed import typed
 from omnilines.files import Photo, Photos, photo_folder, photos_of
 from omnilines.files.orientation import turned_otherwise
+from omnilines.options import require_ranges
 from omnilines.pipelines.batches import look_at
 from omnilines.pipelines.camera_search import completed, searched
 from omnilines.pipelines.photo_corners import IN_MEMORY, PhotoCorners, blur_of_corners, corner_table
@@ -111,6 +112,7 @@ def detect(
         >>> corners.corners.pixels.shape, corners.corners.board_m.shape
         ((384, 2), (384, 3))
     """
+    require_ranges(options)
     found_photos = photos_of(photos)
     target, otherwise = parse_pattern(pattern) if isinstance(pattern, str) else pattern, None
     if recognise:

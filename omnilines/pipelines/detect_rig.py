@@ -19,6 +19,7 @@ from omnilines.calibration.rig.views import ONE_BOARD
 from omnilines.files import Photo, Photos, find_photos, is_rig_table, photo_folder, photos_of
 from omnilines.files.frames import times_of
 from omnilines.files.videos import find_videos
+from omnilines.options import require_ranges
 from omnilines.pipelines.detect import detect
 from omnilines.pipelines.photo_corners import CORNERS, IN_MEMORY, PhotoCorners
 from omnilines.pipelines.recognise import as_printed
@@ -83,6 +84,7 @@ def detect_rig(
         >>> found.image_sizes, found.corners.frames[:2]
         ({'left': (640, 480), 'right': (640, 480)}, ('0', '1'))
     """
+    require_ranges(options)
     specs = [patterns] if isinstance(patterns, str) else patterns
     boards = [parse_pattern(text) for text in specs]
     by_camera = _by_camera(photos, camera)

@@ -25,7 +25,7 @@ def moving_runs(still: Sequence[Instant], instants: Sequence[Instant], options: 
     if gap_s > CalibrationOptions().clocks.longest_gap_of_rows_s:
         return []
     place = {instant.index: k for k, instant in enumerate(instants)}
-    fastest = sorted(still, key=lambda instant: -instant.motion_px)[: options.moving_runs]
+    fastest = sorted(still, key=lambda instant: -instant.motion_px)[: options.max_moving_runs]
     half, chosen = options.frames_of_run // 2, set[int]()
     for instant in fastest:
         low = max(0, min(place[instant.index] - half, len(instants) - options.frames_of_run))
