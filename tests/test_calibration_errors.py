@@ -15,18 +15,24 @@ from camera_models.pose import Pose
 from camera_models.pose_fit import refit_pose
 from omnilines.adjustment.by_calibration import KnownCalibration, camera_steps, followed_poses
 from omnilines.adjustment.lines import motion_across
+from omnilines.adjustment.prior import KnownPoses
+from omnilines.adjustment.scene import AdjustedScene, reconstruct_lines
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.pages.limits_of_lines import length, scene_advice
 from omnilines.pages.scene import scene_summary
+from omnilines.pipelines import supposed_errors as _supposed
 from omnilines.pipelines.assumed_errors import assumed_covariance
+from omnilines.pipelines.calibration_errors import beside_stated, errors_by_calibration
+from omnilines.pipelines.frame_notes import OF_GIVEN, OF_GIVEN_AND_RIG, OF_PRIOR
 from omnilines.pipelines.options import OF_TABLES
 from omnilines.records import ImagePoses, LengthUnit, Lines, PosePoints, Segments
 
 CAMERA = OpenCVFisheye([320.0, 322.0, 510.0, 390.0, 0.02, -0.01, 0.002, 0.0], (1032, 778))
 SIGMA = np.array([0.5, 0.5, 0.3, 0.3, 1e-3, 5e-4, 0.0, 0.0])
 CAMERAS, LINES, DRAWS = 8, 24, 40
+OF_LINES = replace(OF_TABLES, refine=("lines",))
 PARTS = (("lines", "poses"), ("lines",))
 
 
@@ -248,6 +254,95 @@ def test_a_prior_on_poses_holds_them_as_it_holds_them_in_the_adjustment() -> Non
     np.testing.assert_allclose(shares[0], held.calibration_sigma_m, rtol=0.02)
     # A prior on where all photos are fixes the scale, which without it is free.
     assert np.median(shares[1] / free.calibration_sigma_m) < 2.0  # type: ignore[operator]
+
+
+def noisy() -> tuple[Segments, ImagePoses]:
+    """The world with the noise that is stated of its segments."""
+    segments, poses, _ = world()
+    noise = 0.3 * np.random.default_rng(0).standard_normal(segments.endpoints_px.shape)
+    return replace(segments, endpoints_px=segments.endpoints_px + noise), poses
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [1e-4, 1e-3, 1e-2])
+def test_what_exact_cameras_leave_out_beside_a_prior_on_poses_is_told(sigma: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    segments, poses = noisy()
+    prior = (sigma, 2.0 * sigma)
+    exact, half = (
+        ol.adjust(segments, poses, CAMERA, replace(OF_TABLES, calibration_error_px=error), pose_sigma=prior)
+        for error in (None, 0.5)
+    )
+    assert exact.supposed is not None and half.supposed is None
+    times = float(np.median(half.lines.sigma_m / exact.lines.sigma_m))
+    of_photos = [np.trace(one.poses.covariance[:, 3:, 3:], axis1=1, axis2=2) for one in (half, exact)]
+    assert exact.supposed.of_lines == pytest.approx(times, rel=0.05)
+    assert exact.supposed.of_photos == pytest.approx(float(np.median(np.sqrt(of_photos[0] / of_photos[1]))), rel=0.05)
+    assert "more photos do not lower" in scene_advice(exact)[0].limit
+    # Some of the lines tell the same as all: the prior weighs as much beside them.
+    monkeypatch.setattr(_supposed, "LINES", LINES // 3)
+    monkeypatch.setattr(_supposed, "LINES_OF_PHOTO", 0)
+    some = ol.adjust(segments, poses, CAMERA, OF_TABLES, pose_sigma=prior).supposed
+    assert some is not None and some.of_lines == pytest.approx(times, rel=0.2)
+
+
+@pytest.mark.slow
+def test_what_tells_the_place_and_size_of_a_scene_is_said() -> None:
+    """Given poses as a whole, a prior on them, or a rig; and which photos lines draw beyond a prior that is too strict."""
+    segments, poses = noisy()
+    free = ol.adjust(segments, poses, CAMERA)
+    assert OF_GIVEN in free.told and OF_PRIOR not in free.told
+    assert not any("The given poses" in one for one in ol.adjust(segments, poses, CAMERA, OF_LINES).told)
+    held = ol.adjust(segments, poses, CAMERA, pose_sigma=(1e-3, 2e-3))
+    assert OF_PRIOR in held.told and OF_GIVEN not in held.told and not any("Lines draw" in one for one in held.told)
+    turned = Pose.exp(torch.tensor([[0.0, 5e-3, 0.0, 0.0, 0.0, 0.0]], dtype=torch.float64)) @ poses.cam_from_world[:1]
+    rotation, translation = poses.cam_from_world.rotation.clone(), poses.cam_from_world.translation.clone()
+    rotation[:1], translation[:1] = turned.rotation, turned.translation
+    strict = ol.adjust(segments, replace(poses, cam_from_world=Pose(rotation, translation)), CAMERA, pose_sigma=(1e-4, 2e-4))
+    assert any(one.startswith("Lines draw 0.png farther") for one in strict.told)
+    rigs, places, second = stereo()
+    mounts = {"cam0": RigCamera(Pose.identity(1)[0]), "cam1": RigCamera(second)}
+    rig = Calibration({"cam0": CAMERA, "cam1": CAMERA}, rig=mounts)
+    assert OF_GIVEN_AND_RIG in ol.adjust(rigs, places, rig).told
+    refined = ol.adjust(rigs, places, rig, replace(OF_TABLES, refine=("lines", "poses", "rig")))
+    assert OF_GIVEN in refined.told and OF_GIVEN_AND_RIG not in refined.told
+
+
+@pytest.mark.slow
+def test_lines_and_poses_follow_the_camera_beside_a_prior_as_in_the_adjustment_where_noise_is_not_what_is_stated() -> None:
+    """Arcs of photos state more noise than they show, which weighs a prior. Against adjustments with the camera moved."""
+    segments, poses = noisy()
+    assert segments.covariance_px2 is not None
+    segments, known = replace(segments, covariance_px2=4.0 * segments.covariance_px2), KnownPoses(poses, 1e-3, 2e-3)
+
+    def adjusted(camera: CameraModel) -> AdjustedScene:
+        """As `reconstruct` does it."""
+        return reconstruct_lines(
+            segments, poses, {"cam0": camera}, triangulation="ml", cost="whitened", refine_poses=True, known=known, cautious=True
+        )
+
+    exact = adjusted(CAMERA)
+    at, moved, apart = torch.as_tensor(exact.lines.ends_m), np.zeros(LINES), torch.zeros(CAMERAS, 6, dtype=torch.float64)
+    variance, axes = np.linalg.eigh(covariance())
+    for step in 0.25 * (axes * np.sqrt(variance.clip(0.0)))[:, variance > 1e-12 * variance.max()].T:
+        found = adjusted(CAMERA.with_parameters(CAMERA.parameters + torch.as_tensor(step)))
+        ends = torch.as_tensor(found.lines.ends_m)
+        there = PlueckerLines.from_points(ends[:, 0], ends[:, 1])[:, None].closest_point(at)
+        moved += (there - at).square().sum((1, 2)).numpy() / 0.25**2
+        apart += (found.poses.cam_from_world @ exact.poses.cam_from_world.inverse()).log().square() / 0.25**2
+    prior = beside_stated(known, exact.adjusted.noise)
+    errors = errors_by_calibration(
+        exact.lines,
+        exact.table.arcs,
+        np.arange(LINES),
+        exact.poses,
+        calibration(),
+        OF_TABLES,
+        {},
+        prior=prior,  # type: ignore[arg-type]
+    )
+    assert errors is not None and exact.adjusted.noise.level < 0.6
+    np.testing.assert_allclose(squares_m2(exact.lines, errors.lines.numpy()), moved, rtol=0.02)
+    np.testing.assert_allclose(errors.poses.diagonal(dim1=1, dim2=2).sum(0), apart.sum(0), rtol=0.02)
 
 
 def test_errors_that_move_no_pixel_are_left_out() -> None:

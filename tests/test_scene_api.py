@@ -197,7 +197,7 @@ def test_a_prior_holds_given_poses_but_that_of_a_photo_which_lines_put_elsewhere
     assert [
         one for one in held.told if "no prior holds its pose" in one and poses.images[wrong] in one and poses.images[0] not in one
     ]
-    assert held.poses.covariance is not None and held.supposed is None
+    assert held.poses.covariance is not None and held.supposed is not None
     largest = np.diagonal(held.poses.covariance[others], axis1=1, axis2=2).max(0)
     assert (largest[:3] <= sigma[0] ** 2).all() and (largest[3:] <= sigma[1] ** 2).all()
     assert not any("Lines draw" in one for one in held.told)

@@ -11,10 +11,12 @@ import pytest
 import torch
 
 import camera_models
+from camera_models import Calibration
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.cli import main
 from omnilines.commands.render_scene import render_scene
-from omnilines.files import read_lines, read_poses
+from omnilines.files import read_lines, read_poses, write_poses, write_segments
+from omnilines.files.scene_folder import read_scene
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.pipelines import poses as _poses
@@ -33,6 +35,7 @@ from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
 from omnilines.structure.families import line_families
 from omnilines.structure.upright import agreed_up, vertical_family
+from omnilines.synthetic.lines import room_world
 
 VIEWS, SIZE, SEED = 6, (400, 400), 4
 UNIT_M = 1.7
@@ -50,10 +53,12 @@ def room(tmp_path_factory):
     return folder
 
 
-def framed(lines, poses, families, source, unit, known, verticals=()):
+def framed(lines, poses, families, source, unit, known, verticals=(), stated_up=None):
     ups = np.reshape(verticals, (-1, 3))
-    options = SceneOptions()
-    return scene_frame(lines, poses, families, source=source, unit=unit, known=known, verticals=lambda: ups, options=options)
+    return scene_frame(
+        lines, poses, families, source=source, unit=unit, stated_up=stated_up, known=known, verticals=lambda: ups,
+        options=SceneOptions(),
+    )  # fmt: skip
 
 
 def found_by_sfm(room) -> PhotoPoses:
@@ -334,6 +339,29 @@ def test_two_photos_lying_on_their_side_of_five_do_not_turn_the_scene():
     rolled = vertical_family(families, Pose(rotation, poses.cam_from_world.translation))
     assert upright is not None and rolled is not None
     np.testing.assert_array_equal(upright.up, rolled.up)
+
+
+@pytest.mark.slow
+def test_what_is_up_in_a_scene_folder_stays_up_when_it_is_adjusted(tmp_path, capsys):
+    world, up = room_world(1), [0.0, -0.6, 0.8]
+    camera_models.save(tmp_path / "calibration.yaml", Calibration({"cam0": world.camera}, provenance={"up": up}))
+    write_poses(tmp_path / "poses.csv", world.poses())
+    write_segments(tmp_path / "segments.csv", world.segments(0.5, 0))
+    arguments = ["adjust", "--calibration", tmp_path / "calibration.yaml", "--poses", tmp_path / "poses.csv", "--json"]
+    arguments += ["--segments", tmp_path / "segments.csv", "--refine", "lines", "--out", tmp_path / "again"]
+    with pytest.raises(SystemExit) as stopped:
+        main([str(item) for item in arguments])
+    assert stopped.value.code == 0 and json.loads(capsys.readouterr().out)["up"] == up
+    assert list(read_scene(tmp_path / "again").up) == up
+
+
+def test_what_is_up_is_taken_from_a_scene_where_no_family_tells_it():
+    lines, poses = a_scene(2)
+    none, stated = line_families(lines.rows(np.arange(0))), (0.0, -1.0, 0.0)
+    assert framed(lines, poses, none, "table", LengthUnit.METRES, None).up == (0.0, 0.0, 1.0)
+    assert framed(lines, poses, none, "table", LengthUnit.METRES, None, stated_up=stated).up == stated
+    told = framed(lines, poses, line_families(lines), "table", LengthUnit.METRES, None, stated_up=stated).up
+    assert told == framed(lines, poses, line_families(lines), "table", LengthUnit.METRES, None).up
 
 
 def test_the_distance_is_known_as_well_as_the_poses_say():

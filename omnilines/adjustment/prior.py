@@ -64,6 +64,10 @@ class KnownPoses:
         sigma = (torch.full((len(mean),), value, dtype=torch.float64) for value in (self.sigma_rad, self.sigma_m))
         return PosePrior(mean, *(one.masked_fill(free, math.inf) for one in sigma))
 
+    def loosened(self, times: float) -> "KnownPoses":
+        """So many times as uncertain."""
+        return replace(self, sigma_rad=times * self.sigma_rad, sigma_m=times * self.sigma_m)
+
     def agreeing(self, poses: ImagePoses, significance: float) -> "KnownPoses":
         """Those of photos that are no farther off in `poses` than chance makes more often than this (chi-square), by these
         deviations and the covariances that `poses` state."""

@@ -164,9 +164,7 @@ class LineProblem:
         """Whether bearings leave the scale open: no held rig with a baseline."""
         if state.rig is None or self.freedom.rig:
             return True
-        used = torch.unique(state.rig.camera[self.arcs.image])
-        centres = state.rig.cam_from_rig.centre[used]
-        return bool((centres - centres[0]).norm(dim=-1).max() == 0)
+        return not state.rig.has_baseline(self.arcs.image)
 
     def only_poses_scale(self, state: LinesAndPoses) -> bool:
         """Whether nothing but held poses can give the scene a scale: no prior, no held line and no rig with a baseline."""

@@ -31,6 +31,11 @@ class Rig:
         """Number of instants."""
         return int(self.frame.max()) + 1
 
+    def has_baseline(self, photos: Int[Tensor, " n"]) -> bool:
+        """Whether the cameras of these photos are mounted at several places, which gives lengths."""
+        centres = self.cam_from_rig.centre[torch.unique(self.camera[photos])]
+        return bool((centres - centres[0]).norm(dim=-1).max() > 0)
+
 
 @dataclass(frozen=True)
 class LinesAndPoses:

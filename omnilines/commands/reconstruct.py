@@ -33,7 +33,7 @@ from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
 from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
-from omnilines.pipelines.pose_tables import named_cameras, unit_of_file, unit_of_poses
+from omnilines.pipelines.pose_tables import named_cameras, unit_of_file, unit_of_poses, up_of_file
 from omnilines.pipelines.poses import check_source, estimate_poses, from_photos
 from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
@@ -160,7 +160,7 @@ def reconstruct_segments(
     names, read = (*SCENE_FILES, PAGE), [*calibration_files(calibration), poses, segments, *_pose_files(str(poses))]
     check_results(out, names, read)
     cameras, table = read_cameras(calibration), read_segments(segments)
-    posed = replace(_poses(poses, table, cameras), unit=unit_of_file(poses))
+    posed = replace(_poses(poses, table, cameras), unit=unit_of_file(poses), up=up_of_file(poses))
     inputs = {"calibration": calibration, "poses": poses, "segments": segments}
     scene = adjust(table, posed, cameras, options, robust=robust, pose_sigma=prior, inputs=inputs, progress=progress)
     with claimed(out, names, read, by=SCENE):

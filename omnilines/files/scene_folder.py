@@ -46,7 +46,7 @@ def read_scene(folder: str | Path) -> SceneTables:
     calibration = load(place / cameras)
     unit = LengthUnit.OPEN if calibration.provenance.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
     known = replace(read_lines(place / lines), unit=unit)
-    up = _up(calibration.provenance, place / cameras)
+    up = stated_up(calibration.provenance, place / cameras) or Z_UP
     tables = SceneTables(calibration, read_poses(place / poses), read_segments(place / segments), known, up)
     if not {*tables.poses.images} & {*tables.segments.images}:
         raise InputError(
@@ -56,9 +56,11 @@ def read_scene(folder: str | Path) -> SceneTables:
     return tables
 
 
-def _up(provenance: Mapping[str, Any], where: Path) -> tuple[float, float, float]:
-    """z where the file does not say; raises InputError where it says what is no direction."""
-    said = provenance.get(UP_KEY, Z_UP)
+def stated_up(provenance: Mapping[str, Any], where: Path) -> tuple[float, float, float] | None:
+    """None where the file does not say; raises InputError where it says what is no direction."""
+    if UP_KEY not in provenance:
+        return None
+    said = provenance[UP_KEY]
     numbers = isinstance(said, list | tuple) and len(said) == 3 and all(isinstance(value, int | float) for value in said)
     length = float(np.linalg.norm(said)) if numbers else 0.0
     if not (numbers and np.isfinite(length) and length > 0):

@@ -11,7 +11,7 @@ import numpy as np
 from camera_models.wording import rounded
 from omnilines import report
 from omnilines.adjustment.suspects import Suspect
-from omnilines.files.scene_folder import UNIT_KEY
+from omnilines.files.scene_folder import UNIT_KEY, UP_KEY
 from omnilines.least_squares import Outcome
 from omnilines.pages.limits_of_lines import SAMPLE, length, scene_advice, sigma_with_supposed_m
 from omnilines.pages.noise_notes import noise_data, noise_notes, noise_row
@@ -144,11 +144,6 @@ def _of_tables(scene: Scene) -> tuple[tuple[tuple[str, str], ...], tuple[str, ..
     far_share = len(adjusted.suspect) / max(1, len(scene.segments.image))
     notes = _named("do not belong to their track and were left out", adjusted.wrong)
     notes += _named("lie farther from their line than 99.9 percent should", adjusted.suspect)
-    if "poses" in options.refine:
-        notes += (
-            "The scale, position and orientation of the scene are free with bearings alone: the poses as a whole keep those of "
-            "poses.csv, and the uncertainties are stated in that frame.",
-        )
     return rows, (*notes, *_outcome(scene), *noise_notes(adjusted.adjusted.noise, far_share))
 
 
@@ -171,7 +166,7 @@ def _data_of_photos(scene: Scene, of_photos: FromPhotos) -> dict[str, Any]:
     return {
         "photos": list(scene.segments.images),
         UNIT_KEY: lines.unit.sign,
-        "up": list(of_photos.up),
+        UP_KEY: list(scene.up),
         "arcs": [{**asdict(photo), "share": photo.share} for photo in scene.photos],
         "stages": [asdict(stage) for stage in scene.stages],
         "lines": len(lines),
@@ -211,6 +206,7 @@ def _data_of_tables(scene: Scene) -> dict[str, Any]:
     return {
         "tracks": len(lines),
         UNIT_KEY: scene.lines.unit.sign,
+        UP_KEY: list(scene.up),
         "status": dict(Counter(scene.lines.status)),
         "rms_px_before": adjusted.rms_px(before=True),
         "rms_px": adjusted.rms_px(),
@@ -237,7 +233,7 @@ def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Sec
         distances = {"triangulated": before[np.isfinite(before)], "adjusted": adjusted}
         return [
             report.verdict_section(summary),
-            report.scene_section(lines=scene.lines, segments=scene.segments, cameras=scene.poses),
+            report.scene_section(lines=scene.lines, segments=scene.segments, cameras=scene.poses, up=scene.up),
             report.summary_section(summary),
             *([report.checks_section(scene.checks)] if scene.checks else []),
             report.histogram_section(title, distances, label),
@@ -249,7 +245,7 @@ def scene_sections(scene: Scene, remarks: Sequence[str] = ()) -> list[report.Sec
     unused = Summary("Photos that were not used", tuple((one.photo, one.text) for one in scene.details))
     return [
         report.verdict_section(summary),
-        report.scene_section(lines=scene.lines, groups=groups, segments=scene.segments, cameras=scene.poses, up=of_photos.up),
+        report.scene_section(lines=scene.lines, groups=groups, segments=scene.segments, cameras=scene.poses, up=scene.up),
         report.summary_section(replace(summary, rows=rows, notes=(*scene.told, *remarks, *summary.notes))),
         stage_section(scene.stages),
         photo_arcs_section(scene.photos),

@@ -17,6 +17,7 @@ from camera_models.typed import found, typed
 from omnilines.adjustment.arcs import MatchedArcs, arcs_from_segments, cameras_of_images
 from omnilines.adjustment.prior import KnownPoses
 from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_lines
+from omnilines.files.scene_folder import Z_UP
 from omnilines.files.segments import repeated
 from omnilines.least_squares.devices import usable_device
 from omnilines.pipelines.arcs import calibration_of
@@ -28,6 +29,7 @@ from omnilines.pipelines.calibration_errors import (
     poses_with_calibration_errors,
 )
 from omnilines.pipelines.far_photos import far_photos
+from omnilines.pipelines.frame_notes import frame_notes
 from omnilines.pipelines.inside import require_inside
 from omnilines.pipelines.judged_tracks import Misfit, judge_tracks, limits_px
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
@@ -89,13 +91,12 @@ def adjust(
     _require_lines(scene.lines)
     cameras = with_assumed_errors(cameras, _fitting(scene)[0], options)
     points = poses.points if isinstance(poses, PhotoPoses) else {}
-    # With a prior on poses that is no matter of the lines alone.
-    supposed = None if known else supposed_errors(scene.lines, *_fitting(scene), scene.poses, cameras, options, points)
+    supposed = supposed_errors(scene.lines, *_fitting(scene), scene.poses, cameras, options, points, prior=known)
     scene = _with_calibration_errors(scene, points, cameras, options, known)
     told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *unfollowed_errors(cameras, options, supposed))
-    unit = poses.unit if isinstance(poses, PhotoPoses) else LengthUnit.METRES
+    unit, up = (poses.unit, poses.up) if isinstance(poses, PhotoPoses) else (LengthUnit.METRES, None)
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
-    told += size_notes(scene.lines, scene.poses, options.judge)
+    told += (*frame_notes(scene, known, options), *size_notes(scene.lines, scene.poses, options.judge))
     made_from = {"options": options} if inputs is None else inputs
     checks = _checks(scene, misfit, limits_px(scene.table.arcs, list(cameras.values()), options.judge)[1])
     strange = far_photos(scene, table.cam_from_world, options.judge, refined="poses" in options.refine, seed=options.seed)
@@ -115,6 +116,7 @@ def adjust(
         advice=strange,
         asked=asked,
         supposed=supposed,
+        up=up or Z_UP,
     )
 
 
@@ -176,7 +178,7 @@ def _with_calibration_errors(
 ) -> AdjustedScene:
     """With what errors of the calibration leave uncertain of lines and poses."""
     arcs, every = _fitting(scene)
-    errors = errors_by_calibration(scene.lines, arcs, every, scene.poses, cameras, options, points, known=known)
+    errors = errors_by_calibration(scene.lines, arcs, every, scene.poses, cameras, options, points, prior=known)
     lines = lines_with_calibration_errors(scene.lines, errors, options.adjustment.weak_share)
     return replace(scene, lines=lines, poses=poses_with_calibration_errors(scene.poses, errors))
 

@@ -14,6 +14,7 @@ from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.by_calibration import MOST_ITERATIONS, CalibrationErrors, Followed, KnownCalibration, calibration_errors
 from omnilines.adjustment.line_table import too_uncertain
 from omnilines.adjustment.lines import end_sigma_m
+from omnilines.adjustment.noise import Noise
 from omnilines.adjustment.prior import KnownPoses
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.start import scaled_loss
@@ -39,15 +40,16 @@ def errors_by_calibration(
     options: SceneOptions,
     points: Mapping[str, PosePoints],
     *,
-    known: KnownPoses | None = None,
+    prior: KnownPoses | None = None,
     iterations: int = MOST_ITERATIONS,
 ) -> CalibrationErrors | None:
     """Covariances from errors of the calibration alone, of each line (NaN where there is none) and pose; None where cameras were
     refined or the file does not state its errors.
 
     The tracks of `arcs` are rows of `lines`; rows of one `track` are stretches of one line. `points` are those that poses were
-    found from, which move with the cameras unless lines refine them; `known` are poses that
-    a prior holds, where there is one; `iterations` are those of the lines and poses that follow.
+    found from, which move with the cameras unless lines refine them; `prior` are poses that one holds, as uncertain as it weighs
+    beside what arcs state of their noise (beside 1 px where they state nothing); `iterations` are those of the lines and poses
+    that follow.
     """
     if not states_errors(cameras) or "intrinsics" in options.refine or options.partition or not lines.known.any():
         return None
@@ -58,12 +60,17 @@ def errors_by_calibration(
     start = own[torch.as_tensor(first)]
     loss = scaled_loss(options.loss, options.cost, inner, LinesAndPoses(poses.cam_from_world, start), options.adjustment)
     places = {poses.images.index(name): seen for name, seen in points.items() if held and name in poses.images}
-    prior = None if known is None else known.prior(poses, lambda table: known_calibration(table, cameras, options)[1])
-    followed = Followed(inner, start.lines(), frames, not held, options.cost, loss, places, prior, iterations)
+    weighed = None if prior is None else prior.prior(poses, lambda table: known_calibration(table, cameras, options)[1])
+    followed = Followed(inner, start.lines(), frames, not held, options.cost, loss, places, weighed, iterations)
     found = calibration_errors(followed, calibration, own, torch.as_tensor(line))
     of_lines = torch.full((len(lines), 4, 4), torch.nan, dtype=torch.float64)
     of_lines[torch.as_tensor(rows)] = found.lines
     return replace(found, lines=of_lines)
+
+
+def beside_stated(prior: KnownPoses | None, noise: Noise) -> KnownPoses | None:
+    """A prior beside what arcs state of their noise that weighs as it does beside the noise that they show."""
+    return prior.loosened(1.0 / noise.level) if prior is not None and noise.level > 0.0 else prior
 
 
 def poses_with_calibration_errors(poses: ImagePoses, errors: CalibrationErrors | None) -> ImagePoses:

@@ -125,16 +125,17 @@ def scene_frame(
     *,
     source: str,
     unit: LengthUnit,
+    stated_up: tuple[float, float, float] | None = None,
     known: KnownDistance | None,
     verticals: Callable[[], Float[np.ndarray, "m 3"]],
     options: SceneOptions,
 ) -> SceneFrame:
     """Lines and poses in metres where a distance is known, and upright where the frame was that of a photo (sfm).
 
-    `source` and `unit` are those of `PhotoPoses`; `verticals` finds where up is in the world by the lines of each photo alone;
-    it is asked where the world is turned upright. Under a turn and a scale of the world a pose keeps the perturbation of its own
-    camera, whose translation is scaled, and a line its chart: S is turned from the left and perturbed from the right, and phi
-    compares two lengths.
+    `source`, `unit` and `stated_up` are those of `PhotoPoses`; `verticals` finds where up is in the world by the lines of each
+    photo alone; it is asked where the world is turned upright. Under a turn and a scale of the world a pose keeps the
+    perturbation of its own camera, whose translation is scaled, and a line its chart: S is turned from the left and perturbed
+    from the right, and phi compares two lengths.
     """
     notes: tuple[str, ...] = ()
     scale, turn = 1.0, torch.eye(3, dtype=torch.float64)
@@ -155,6 +156,8 @@ def scene_frame(
         up = np.array([0.0, 0.0, 1.0])
     elif source == SFM:
         notes += (UNDECIDED,)
+    elif upright is None and stated_up is not None:
+        up = np.array(stated_up)
     elif (upright is None and source == "table") or up[2] > math.cos(options.frame.z_up_rad):
         up = np.array([0.0, 0.0, 1.0])
     return SceneFrame(

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 import torch
 
@@ -10,7 +11,7 @@ from camera_models import Calibration, InputError, load
 from camera_models.errors import OmnilinesError
 from camera_models.wording import listed
 from omnilines.files import is_corners_table, read_corners, read_poses
-from omnilines.files.scene_folder import UNIT_KEY
+from omnilines.files.scene_folder import UNIT_KEY, stated_up
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rig import complete_from_rig
 from omnilines.posing.options import PosingOptions
@@ -103,9 +104,22 @@ def unit_of_file(poses: Path) -> LengthUnit:
     folder of a COLMAP model does not say."""
     if poses.is_dir():
         return LengthUnit.OPEN
-    beside = poses.parent / "calibration.yaml"
+    return LengthUnit.OPEN if _said_beside(poses).get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
+
+
+def up_of_file(poses: Path) -> tuple[float, float, float] | None:
+    """What is up in the world of a poses.csv, where it lies in a scene folder whose calibration.yaml says so. Raises InputError
+    where that is no direction."""
+    return None if poses.is_dir() else stated_up(_said_beside(poses), _beside(poses))
+
+
+def _beside(poses: Path) -> Path:
+    return poses.parent / "calibration.yaml"
+
+
+def _said_beside(poses: Path) -> Mapping[str, Any]:
+    """The provenance of the calibration beside a table of poses; nothing where there is none that can be read."""
     try:
-        known = load(beside).provenance if beside.is_file() else {}
+        return load(_beside(poses)).provenance if _beside(poses).is_file() else {}
     except OmnilinesError:
-        return LengthUnit.METRES
-    return LengthUnit.OPEN if known.get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
+        return {}

@@ -23,7 +23,7 @@ from omnilines.files.masks import looked_at, mask_files
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import is_copy, without_copies
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs, require_cameras_of
-from omnilines.pipelines.pose_tables import from_table, instants, named_cameras, unit_of_poses
+from omnilines.pipelines.pose_tables import from_table, instants, named_cameras, unit_of_poses, up_of_file
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
@@ -124,7 +124,8 @@ def estimate_poses(
         found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, options, seed), work, progress)
     except GeometryError as error:
         raise GeometryError(f"{error}{'' if arcs is None else _of_copies(arcs)}") from None
-    return replace(found, source=kind_of(source), unit=unit_of_poses(source, cameras, camera_of))
+    up = None if from_photos(source) else up_of_file(Path(source))
+    return replace(found, source=kind_of(source), unit=unit_of_poses(source, cameras, camera_of), up=up)
 
 
 def _of_copies(arcs: PhotoArcs) -> str:

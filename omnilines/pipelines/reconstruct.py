@@ -28,6 +28,7 @@ from omnilines.pipelines.asked_cameras import asked_cameras
 from omnilines.pipelines.assumed_errors import require_error, with_assumed_errors
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.calibration_errors import (
+    beside_stated,
     errors_by_calibration,
     lines_with_calibration_errors,
     poses_with_calibration_errors,
@@ -38,6 +39,7 @@ from omnilines.pipelines.coplanar_lines import coplanar_lines
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
+from omnilines.pipelines.frame_notes import frame_notes
 from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
@@ -61,15 +63,6 @@ from omnilines.records import Check, Detail, ImagePoses, Lines, Segments
 from omnilines.structure.families import Families, line_families
 from omnilines.structure.options import DirectionsOptions
 from omnilines.triangulation import check_triangulation
-
-OF_GIVEN = (
-    "The scene lies, is turned and is as large as the given poses as a whole say: lines do not better these, and uncertainties "
-    "are stated in that frame."
-)
-OF_PRIOR = (
-    "The given poses hold the refined ones with the standard deviations of their prior: place, turn and size of the scene are as "
-    "uncertain as these say, which is in the uncertainties."
-)
 
 
 def check_options(options: SceneOptions, cameras: Calibration, pose_sigma: tuple[float, float] | None = None) -> None:
@@ -221,9 +214,9 @@ def _scene(
     arcs_of_lines = arcs_from_segments(found.segments, poses, cameras, with_nodes=cost_named(options.cost).integrates).arcs
     cameras = with_assumed_errors(cameras, arcs_of_lines, options)
     progress("asking lines for the calibration", 0, 0)
-    errors = errors_by_calibration(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points, known=found.held)
-    # With a prior on poses that is no matter of the lines alone.
-    supposed = None if known else supposed_errors(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points)
+    prior = beside_stated(found.held, found.scene.adjusted.noise)
+    errors = errors_by_calibration(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points, prior=prior)
+    supposed = supposed_errors(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points, prior=prior)
     by_poses = errors_by_poses(lines, arcs_of_lines, found.track, poses, options)
     asked = asked_cameras(lines, arcs_of_lines, found.track, poses, cameras, options)
     poses = poses_with_calibration_errors(poses, errors)
@@ -234,7 +227,7 @@ def _scene(
         lines = with_rms(lines, found.segments, poses, refined_calibration(found.scene, cameras).cameras)
     sought = DirectionsOptions(upright=options.structure.upright)
     frame = scene_frame(
-        lines, poses, families, source=posed.source, unit=posed.unit, known=distance,
+        lines, poses, families, source=posed.source, unit=posed.unit, stated_up=posed.up, known=distance,
         verticals=lambda: world_verticals(arcs.used, poses, cameras, sought, progress), options=options,
     )  # fmt: skip
     # Only now: families, planes and corners are of lines whose errors are their own.
@@ -257,7 +250,7 @@ def _scene(
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(
         folder, len(arcs.photos), arcs.skipped, found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
-        frame.families, frame.up, math.nan if posed.source == SFM else still,
+        frame.families, math.nan if posed.source == SFM else still,
     )  # fmt: skip
     unused = (*arcs.skipped_details, *lost)
     return Scene(
@@ -273,29 +266,23 @@ def _scene(
         (*posed.advice, *advice(found, still, posed.source, options, progress)),
         asked,
         supposed,
+        frame.up,
     )
 
 
 def _of_given(posed: PhotoPoses, found: KeptLines, known: KnownPoses | None, options: SceneOptions) -> tuple[str, ...]:
     """What refined poses keep of given ones, and which of these a prior does not hold."""
-    if "poses" not in options.refine or posed.source == SFM:
+    if posed.source == SFM:
         return ()
+    told = frame_notes(found.scene, found.held, options)
     if known is None or found.held is None:
-        return (OF_GIVEN,)
-    told, held = [OF_PRIOR], found.held.poses.images
-    free = [image for image in known.poses.images if image not in held]
-    if free:
-        them = "its pose" if len(free) == 1 else "their poses"
-        told.append(f"The lines of other photos put {listed(free)} elsewhere than given: no prior holds {them}.")
-    final = replace(found.scene.poses, covariance=None)
-    near = found.held.agreeing(final, options.adjustment.significance).poses.images
-    drawn = listed(image for image in held if image not in near)
-    if drawn:
-        told.append(
-            f"Lines draw {drawn} farther from the given poses than their prior lets expect: the prior is too strict, or "
-            "lines are off by a calibration that is, and uncertainties are too small."
-        )
-    return tuple(told)
+        return told
+    free = [image for image in known.poses.images if image not in found.held.poses.images]
+    if not free:
+        return told
+    them = "its pose" if len(free) == 1 else "their poses"
+    elsewhere = f"The lines of other photos put {listed(free)} elsewhere than given: no prior holds {them}."
+    return (*told[:1], elsewhere, *told[1:])
 
 
 def _guided(found: KeptLines, families: Families, options: SceneOptions) -> Lines:

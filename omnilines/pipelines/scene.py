@@ -48,8 +48,6 @@ class FromPhotos:
     """That they were given besides, over their length, for edges that are not quite straight."""
     families: Families
     """Of parallel lines."""
-    up: tuple[float, float, float]
-    """The direction (unit) that is up."""
     still_share: float
     """Share of the arcs in no line that do not move in the image, while the lines do; NaN where that cannot be told, and where
     poses are found from all that photos show."""
@@ -81,6 +79,8 @@ class Scene:
     """What the lines ask of the cameras that they were found with; nothing where cameras were refined."""
     supposed: SupposedErrors | None = None
     """What errors of the calibration would make of uncertainties that lack them, where its file states none."""
+    up: tuple[float, float, float] = Z_UP
+    """The direction (unit) of the world that is up; z where neither photos nor the scene that poses are of say it."""
 
     def __repr__(self) -> str:
         return f"Scene({self.lines}, {self.poses}, {self.segments})"
@@ -135,11 +135,6 @@ class Scene:
     def provenance(self) -> dict[str, Any]:
         """Software, what the scene was made from, the unit of its lengths and which way is up."""
         return {**provenance(self.inputs), UNIT_KEY: self.lines.unit.sign, UP_KEY: list(self.up)}
-
-    @property
-    def up(self) -> tuple[float, float, float]:
-        """The direction (unit) of the world that is up: z where the scene was not found in photos."""
-        return Z_UP if self.from_photos is None else self.from_photos.up
 
     def median_sigma_m(self) -> float:
         """Median of the largest standard deviation of a line's ends across it; NaN where none is known."""

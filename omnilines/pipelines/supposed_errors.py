@@ -4,6 +4,7 @@ Cameras from COLMAP or OpenCV, or typed by hand, count as exact. Nobody's are: h
 with cameras that are off by SUPPOSED_PX is said, so that what is stated is not taken for all there is.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -15,6 +16,7 @@ from camera_models import Calibration
 from camera_models.wording import rounded
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.by_calibration import CalibrationErrors
+from omnilines.adjustment.prior import KnownPoses
 from omnilines.pipelines.assumed_errors import with_assumed_errors
 from omnilines.pipelines.calibration_errors import errors_by_calibration, sigma_m, states_errors
 from omnilines.pipelines.options import SceneOptions
@@ -52,14 +54,19 @@ def supposed_errors(
     cameras: Calibration,
     options: SceneOptions,
     points: Mapping[str, PosePoints],
+    *,
+    prior: KnownPoses | None = None,
 ) -> SupposedErrors | None:
     """What would be with cameras that are off by SUPPOSED_PX; None where some file states errors, or where they cannot be
     followed. Arguments as of `errors_by_calibration`."""
     if states_errors(cameras) or not lines.known.any():
         return None
+    every = int(lines.known[arcs.track.numpy()].sum())
     lines, arcs, track = _some(lines, arcs, track, max(LINES, LINES_OF_PHOTO * len(poses)))
     supposed = with_assumed_errors(cameras, arcs, replace(options, calibration_error_px=SUPPOSED_PX))
-    errors = errors_by_calibration(lines, arcs, track, poses, supposed, options, points, iterations=ITERATIONS)
+    # Beside fewer arcs a prior would hold poses more than it did.
+    prior = None if prior is None else prior.loosened(math.sqrt(every / len(arcs)))
+    errors = errors_by_calibration(lines, arcs, track, poses, supposed, options, points, prior=prior, iterations=ITERATIONS)
     known = lines.known & (lines.sigma_m > 0)
     if errors is None or not known.any():
         return None

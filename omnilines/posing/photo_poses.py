@@ -24,6 +24,8 @@ class PhotoPoses:
     source: str = "table"
     """What they come from: table, colmap, rig, boards, rectangle or sfm. The world of sfm is the frame of a photo."""
     unit: LengthUnit = LengthUnit.METRES
+    up: tuple[float, float, float] | None = None
+    """The direction (unit) of the world that is up, where the scene that they are of says so."""
     points: Mapping[str, PosePoints] = field(default_factory=dict)
     """Of photos whose pose was found from points of known place: with another camera it would be another one."""
     advice: tuple[Advice, ...] = ()

@@ -1,0 +1,41 @@
+"""What tells place, turn and size of a scene whose poses were refined: given ones as a whole, a prior on them, a rig."""
+
+from dataclasses import replace
+
+from camera_models.wording import listed
+from omnilines.adjustment.prior import KnownPoses
+from omnilines.adjustment.scene import AdjustedScene
+from omnilines.pipelines.options import SceneOptions
+
+OF_GIVEN = (
+    "The scene lies, is turned and is as large as the given poses as a whole say: lines do not better these, and uncertainties "
+    "are stated in that frame."
+)
+OF_GIVEN_AND_RIG = (
+    "The scene lies and is turned as the given poses as a whole say, and is as large as the rig says: lines do not better these, "
+    "and uncertainties are stated in that frame."
+)
+OF_PRIOR = (
+    "The given poses hold the refined ones with the standard deviations of their prior: place, turn and size of the scene are as "
+    "uncertain as these say, which is in the uncertainties."
+)
+
+
+def frame_notes(scene: AdjustedScene, prior: KnownPoses | None, options: SceneOptions) -> tuple[str, ...]:
+    """Of poses that were refined from given ones, which a `prior` may hold; nothing where they were held."""
+    if "poses" not in options.refine:
+        return ()
+    if prior is None:
+        rig = scene.adjusted.state.rig
+        sized = rig is not None and "rig" not in options.refine and rig.has_baseline(scene.table.arcs.image)
+        return (OF_GIVEN_AND_RIG if sized else OF_GIVEN,)
+    final = replace(scene.poses, covariance=None)
+    near = prior.agreeing(final, options.adjustment.significance).poses.images
+    drawn = listed(image for image in prior.poses.images if image not in near)
+    if not drawn:
+        return (OF_PRIOR,)
+    return (
+        OF_PRIOR,
+        f"Lines draw {drawn} farther from the given poses than their prior lets expect: the prior is too strict, or "
+        "lines are off by a calibration that is, and uncertainties are too small.",
+    )
