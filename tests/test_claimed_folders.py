@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import pytest
@@ -12,9 +12,12 @@ from camera_models.errors import InputError
 from camera_models.formats import disk
 from camera_models.formats.disk import MANIFEST, MOVING, read_text, write_atomically
 from omnilines import cli
+from omnilines.cli._shared import run
+from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos
 from omnilines.files.folders import check_results, check_work_folder, work_folder, written
 from omnilines.files.sets import claimed, settle
+from omnilines.progress import ProgressCallback
 
 
 def put(out: Path, names: Iterable[str], content: str = "1", by: str = "test", kept: Iterable[str] = ()) -> None:
@@ -55,6 +58,24 @@ def test_what_a_run_does_not_write_again_is_removed_but_for_what_was_changed_or_
     put(tmp_path, ["a.csv"], "2", kept=["kept.csv"])
     assert everything(tmp_path) == {"a.csv": "2", "changed.csv": "mine", "kept.csv": "1", "notes.txt": "mine", "other.csv": "1"}
     assert not (tmp_path / "old").exists() and list(written(tmp_path)) == ["a.csv", "kept.csv", "other.csv"]
+
+
+def test_what_is_removed_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def command(names: list[str]) -> Callable[[ProgressCallback], CommandResult]:
+        """That writes these files and has nothing to say."""
+
+        def ran(_: ProgressCallback) -> CommandResult:
+            put(tmp_path, names)
+            return CommandResult((), {})
+
+        return ran
+
+    for names, gone in ((["a.csv", "colmap/b.txt", "c.rrd"], ""), (["a.csv"], "c.rrd colmap/b.txt"), (["a.csv"], "")):
+        run(command(names), as_json=True)
+        told = "".join(f"{tmp_path / name}, " for name in gone.split())[:-2]
+        wanted = f"{told} of an earlier run, which this one does not write, are removed." if gone else ""
+        said = capsys.readouterr()
+        assert json.loads(said.out)["notes"] == ([wanted] if gone else []) and wanted in said.err
 
 
 def test_a_list_that_lies_removes_nothing_outside(tmp_path: Path) -> None:

@@ -4,8 +4,9 @@ import json
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
+from camera_models.wording import listed
 from omnilines.cli._stopping import say_when_stopped
 from omnilines.cli.notes import printable, rows_shown, shortened, told
 from omnilines.cli.progress import progress
@@ -118,10 +120,14 @@ def run(
     say_when_stopped(printable(f"stopped{goes_on}."))
     if (note := note_on_cache()) is not None:
         typer.echo(f"note: {note}", err=True)
+    from omnilines.files.sets import removed_since
+
+    removed_since()
     with progress() as tell, spelled_as(flag_of):
         result = command(tell)
         if plots is not None:
             result = with_plots(result, plots, tell)
+    result = replace(result, warnings=(*result.warnings, *_of_removed(removed_since())))
     whole = "--json" if result.report is None else result.report.name
     with said_in_full():
         for note in (*result.warnings, *told(result.details, result.photos, whole)):
@@ -132,6 +138,14 @@ def run(
             _print_tables(result)
     if not result.holds:
         raise typer.Exit(1)
+
+
+def _of_removed(files: Sequence[Path]) -> tuple[str, ...]:
+    """A sentence where the run before wrote files that this one does not, and they are gone."""
+    if not files:
+        return ()
+    gone = "is" if len(files) == 1 else "are"
+    return (f"{listed(files)} of an earlier run, which this one does not write, {gone} removed.",)
 
 
 def _data(result: "CommandResult") -> dict[str, Any]:

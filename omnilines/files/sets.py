@@ -26,6 +26,7 @@ from omnilines.files.fingerprint import content_hash
 from omnilines.files.folders import OF_PAGE, Written, check_results, way_out, write_list, written
 
 _STAGED = re.compile(r"\.omnilines\.[a-z0-9_]{8}\.part")
+_removed: list[Path] = []
 
 
 @contextmanager
@@ -122,8 +123,9 @@ def _settle(folder: Path) -> None:
         if path.is_symlink() or not path.is_file():
             raise InputError(f"Results in {moving} were expected to be files, found {path.name}, which is none; remove {moving}.")
     if (moving / MANIFEST).exists():
-        for name in written(folder).keys() - written(moving).keys():
-            _remove(folder, name, written(folder)[name].sha256)
+        for name in sorted(written(folder).keys() - written(moving).keys()):
+            if _remove(folder, name, written(folder)[name].sha256):
+                _removed.append(folder / name)
         _move(moving, folder, MANIFEST)
     for path in paths:
         if path.name != MANIFEST or path.parent != moving:
@@ -140,17 +142,25 @@ def _move(moving: Path, folder: Path, name: str) -> None:
     os.replace(moving / name, target)
 
 
-def _remove(folder: Path, name: str, sha256: str) -> None:
-    """Remove a file that is as it was written, and the folders that it leaves empty."""
+def removed_since() -> tuple[Path, ...]:
+    """Files of earlier runs that this process removed since this was asked last."""
+    found = tuple(_removed)
+    _removed.clear()
+    return found
+
+
+def _remove(folder: Path, name: str, sha256: str) -> bool:
+    """Remove a file that is as it was written, and the folders that it leaves empty; whether it was there and so."""
     path = folder / name
     if way_out(folder, name) is not None or path.is_symlink() or not path.is_file() or content_hash(path) != sha256:
-        return
+        return False
     disk.tell("removing", path)
     path.unlink()
     for parent in path.relative_to(folder).parents:
         if parent.parts:
             with contextlib.suppress(OSError):
                 (folder / parent).rmdir()
+    return True
 
 
 @contextmanager
