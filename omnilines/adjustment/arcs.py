@@ -95,6 +95,10 @@ class ArcTable:
     left_out: tuple[str, ...]
     """One sentence per reason, with counts."""
 
+    def of_rows(self, chosen: Bool[Tensor, " n"]) -> "ArcTable":
+        """Some of the arcs."""
+        return replace(self, arcs=self.arcs.rows(chosen), rows=self.rows[chosen.numpy()])
+
 
 def arcs_from_segments(
     segments: Segments, poses: ImagePoses, cameras: Mapping[str, CameraModel], *, with_nodes: bool = True

@@ -22,10 +22,10 @@ from omnilines.adjustment.parts import require_divisible, why_in_one_piece
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
-from omnilines.adjustment.state import LinesAndPoses, Rig
+from omnilines.adjustment.state import AT_ONCE, LinesAndPoses, Rig
 from omnilines.adjustment.uncertainty import Task, Uncertain, uncertainty
 from omnilines.costs import WHITENED
-from omnilines.geometry.line import PlueckerLines
+from omnilines.geometry.line import PlueckerLines, weighted_median_by_group
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Loss, Minimum, Progress
 from omnilines.least_squares.dense import LEAST_EIGENVALUE
@@ -215,12 +215,37 @@ def lost_lines(arcs: MatchedArcs, state: LinesAndPoses) -> dict[str, Bool[Tensor
     at = LineProblem(arcs, WHITENED, Freedom(everywhere), state).linearise(state)
     blocks = torch.zeros(arcs.tracks, 4, 4, dtype=torch.float64)
     blocks.index_add_(0, arcs.track, torch.nan_to_num(at.by_eliminated.mT @ at.by_eliminated))
-    unit = blocks.diagonal(dim1=1, dim2=2).clamp_min(1e-300).rsqrt()
-    lost = torch.linalg.eigvalsh(blocks * unit[:, :, None] * unit[:, None])[:, 0] < LEAST_EIGENVALUE
+    lost = _undetermined(blocks)
     away = state.chart.lines()[arcs.track].distance_to(state.cam_from_world.centre[arcs.image])
     nearest = torch.full_like(state.chart.scale, torch.inf).scatter_reduce(0, arcs.track, away, "amin")
     inside = nearest < IN_A_CAMERA * state.chart.scale
     return {"through_centre": lost & inside, "parallel_planes": lost & ~inside}
+
+
+def lost_frames(arcs: MatchedArcs, state: LinesAndPoses, weak_share: float, level: float = 1.0) -> Bool[Tensor, " frames"]:
+    """Frames (photos, without a rig) whose arcs hardly tell where they came to lie, whatever is known of the lines: for noise of
+    this level they are turned (rad), or moved over the distance of their lines, by more than `weak_share` (standard deviations).
+    One or two arcs tell nothing, parallel ones little. Frames without an arc are none of them."""
+    frames = len(state.rig_from_world)
+    frame = arcs.image if state.rig is None else state.rig.frame[arcs.image]
+    everywhere = Freedom(torch.zeros(frames, dtype=torch.bool))
+    normal = torch.zeros(frames, 6, 6, dtype=torch.float64)
+    for rows in torch.arange(len(arcs)).split(AT_ONCE):
+        by_frame = torch.nan_to_num(LineProblem(arcs.rows(rows), WHITENED, everywhere, state).linearise(state).by_kept[0])
+        normal.index_add_(0, frame[rows], by_frame.mT @ by_frame)
+    lost = _undetermined(normal)
+    known = torch.where(lost[:, None, None], torch.eye(6, dtype=torch.float64), normal)
+    sigma = level * torch.linalg.inv(known).diagonal(dim1=1, dim2=2).sqrt()
+    turn, move = sigma.unflatten(1, (2, 3)).amax(-1).unbind(1)
+    away = state.chart.lines()[arcs.track].distance_to(state.cam_from_world.centre[arcs.image])
+    distance = weighted_median_by_group(away, torch.ones_like(away), frame, frames)
+    return (lost | (turn > weak_share) | (move > weak_share * distance)) & (torch.bincount(frame, minlength=frames) > 0)
+
+
+def _undetermined(normal: Float[Tensor, "blocks k k"]) -> Bool[Tensor, " blocks"]:
+    """Blocks of parameters whose normal matrix leaves some combination of them open."""
+    unit = normal.diagonal(dim1=1, dim2=2).clamp_min(1e-300).rsqrt()
+    return torch.linalg.eigvalsh(normal * unit[:, :, None] * unit[:, None])[:, 0] < LEAST_EIGENVALUE
 
 
 def drop_unknown(arcs: MatchedArcs, known: Bool[Tensor, " t"]) -> tuple[MatchedArcs, Int[Tensor, " k"]]:

@@ -18,6 +18,7 @@ class AdjustmentOptions(Options):
     """The stated noise does not hold where residuals as large, or as small, have a smaller probability than this; an arc stands
     out from its line where its own residuals do."""
     weak_share: float = 0.1
-    """A line whose ends are uncertain by more than this share of its distance from the cameras is called weak."""
+    """A line whose ends are uncertain by more than this share of its distance from the cameras is called weak. A photo whose pose
+    its lines tell no better (rad, and of its distance from them) has no part in where the others were taken."""
     most_turned_deg: float = 20.0
     """Photos of one frame whose poses are turned by more than this from what the rig says are not of that rig."""

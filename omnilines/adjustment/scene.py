@@ -16,12 +16,12 @@ from camera_models.pose import Pose
 from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import ArcTable, MatchedArcs, arcs_from_segments
 from omnilines.adjustment.line_table import line_table, too_uncertain
-from omnilines.adjustment.lines import adjust_lines, drop_unknown, lost_lines
+from omnilines.adjustment.lines import adjust_lines, drop_unknown, lost_frames, lost_lines
 from omnilines.adjustment.memory import require_for_arcs
 from omnilines.adjustment.options import AdjustmentOptions
 from omnilines.adjustment.parallel import require_directions
 from omnilines.adjustment.parts_engine import Workers
-from omnilines.adjustment.prior import KnownPoses
+from omnilines.adjustment.prior import KnownPoses, PosePrior
 from omnilines.adjustment.rig import rig_of_photos
 from omnilines.adjustment.start import Method, no_chart, residual_sigma, scaled_loss, started
 from omnilines.adjustment.state import LinesAndPoses, Rig
@@ -58,6 +58,8 @@ class AdjustedScene:
     """In the order of the calibration, where they were refined."""
     cam_from_rig: Pose | None = None
     """Of every camera, where the rig was refined."""
+    unplaced: tuple[str, ...] = ()
+    """Photos whose arcs do not tell where they were taken: poses stay as given, and `table` is without these arcs."""
 
     def rms_px(self, before: bool = False) -> float:
         """Root mean square of all orthogonal distances; NaN where there is none."""
@@ -101,18 +103,15 @@ def reconstruct_lines(
     """
     require_for_arcs(len(segments.track), len(segments.tracks), len(poses))
     table = arcs_from_segments(segments, poses, cameras, with_nodes=cost_named(cost).integrates)
-    arcs, names = table.arcs, segments.tracks
+    names, unplaced = segments.tracks, torch.zeros(len(poses), dtype=torch.bool)
 
     def frames_of(photos: ImagePoses) -> tuple[Rig | None, Pose]:
         return rig_of_photos(photos, list(cameras), rig or {}, refine_rig, options.most_turned_deg)
 
     mounted, frames = frames_of(poses)
     prior = None if known is None else known.prior(poses, lambda photos: frames_of(photos)[1])
-    state = LinesAndPoses(frames, no_chart(), mounted, tuple(cameras.values()) if refine_cameras else ())
+    given = LinesAndPoses(frames, no_chart(), mounted, tuple(cameras.values()) if refine_cameras else ())
     method = Method(triangulation, triangulation_options or {}, robust, device)
-    state, first, member = started(arcs, state, method, options.start_rounds if refine_poses else 0, options)
-    if refine_poses and known is None:
-        require_directions(arcs.rows(member), first)
 
     def adjust(inner: MatchedArcs, start: LinesAndPoses, scaled: Loss | None = None) -> Adjusted:
         """From a start, with a loss at its scale."""
@@ -135,7 +134,17 @@ def reconstruct_lines(
             workers=workers,
         )
 
-    rests, state, adjusted = _sound(arcs, member, first, state, adjust)
+    while True:
+        arcs = table.arcs
+        state, first, member = started(arcs, given, method, options.start_rounds if refine_poses else 0, options)
+        if refine_poses and known is None:
+            require_directions(arcs.rows(member), first)
+        rests, state, adjusted = _sound(arcs, member, first, state, adjust)
+        lost = _lost_photos(rests.inner, adjusted, prior, options.weak_share) if refine_poses else torch.zeros_like(unplaced)
+        if not bool(lost.any()):
+            break
+        unplaced |= lost
+        table = table.of_rows(~unplaced[arcs.image])
     level = adjusted.noise.measured
     if loss != "none" and not arcs.sigma_known and math.isfinite(level) and level > 0:
         # Errors of the start are in the first scale.
@@ -143,7 +152,8 @@ def reconstruct_lines(
         adjusted = adjust(rests.inner, adjusted.state, Loss(loss, options.loss_scale * level * unit))
     if refine_poses or refine_rig:
         poses = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
-    return _described(rests, state, adjusted, poses, names, table=table, refined_rig=refine_rig, options=options)
+    scene = _described(rests, state, adjusted, poses, names, table=table, refined_rig=refine_rig, options=options)
+    return replace(scene, unplaced=tuple(name for name, lost in zip(poses.images, unplaced.tolist(), strict=True) if lost))
 
 
 @dataclass(frozen=True)
@@ -178,6 +188,18 @@ def _sound(
             return _Rests(inner, tracks, member, first), state, adjusted
         for status, some in lost.items():
             first = without_lines(first, tracks[some], status)
+
+
+def _lost_photos(arcs: MatchedArcs, adjusted: Adjusted, prior: PosePrior | None, weak_share: float) -> Bool[Tensor, " images"]:
+    """Photos whose arcs hardly tell where they were taken, nor a prior: one, however little it says, would leave all others and
+    the lines nearly as uncertain, or without covariances, as these are in the frame of all poses as a whole. None where the other
+    photos have no line in common."""
+    state, level = adjusted.state, adjusted.noise.level
+    frames = lost_frames(arcs, state, weak_share, level if math.isfinite(level) else 1.0)
+    if prior is not None:
+        frames &= torch.isinf(prior.sigma_m)
+    lost = frames if state.rig is None else frames[state.rig.frame]
+    return lost if bool((arcs.rows(~lost[arcs.image]).photos() > 1).any()) else torch.zeros_like(lost)
 
 
 def _described(

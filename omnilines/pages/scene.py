@@ -123,6 +123,10 @@ def _stage(kept: int, dropped: Sequence[tuple[str, int]]) -> str:
 def _outcome(scene: Scene) -> tuple[str, ...]:
     """Why the adjustment ended, where it did not converge."""
     outcome = scene.adjusted.adjusted.outcome
+    if outcome is Outcome.DEGENERATE and "poses" in scene.options.refine:
+        return (
+            f"{outcome.value} No uncertainty is stated: hold the poses (`refine` lines), or give photos that share more lines.",
+        )
     return () if outcome is Outcome.CONVERGED else (outcome.value,)
 
 

@@ -29,7 +29,7 @@ from omnilines.pipelines.calibration_errors import (
     poses_with_calibration_errors,
 )
 from omnilines.pipelines.far_photos import far_photos
-from omnilines.pipelines.frame_notes import frame_notes
+from omnilines.pipelines.frame_notes import frame_notes, unplaced_notes
 from omnilines.pipelines.inside import require_inside
 from omnilines.pipelines.judged_tracks import Misfit, judge_tracks, limits_px
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
@@ -96,7 +96,7 @@ def adjust(
     told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *unfollowed_errors(cameras, options, supposed))
     unit, up = (poses.unit, poses.up) if isinstance(poses, PhotoPoses) else (LengthUnit.METRES, None)
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
-    told += (*frame_notes(scene, known, options), *size_notes(scene.lines, scene.poses, options.judge))
+    told += (*unplaced_notes(scene), *frame_notes(scene, known, options), *size_notes(scene.lines, scene.poses, options.judge))
     made_from = {"options": options} if inputs is None else inputs
     checks = _checks(scene, misfit, limits_px(scene.table.arcs, list(cameras.values()), options.judge)[1])
     strange = far_photos(scene, table.cam_from_world, options.judge, refined="poses" in options.refine, seed=options.seed)

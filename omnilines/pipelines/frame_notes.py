@@ -21,6 +21,18 @@ OF_PRIOR = (
 )
 
 
+def unplaced_notes(scene: AdjustedScene) -> tuple[str, ...]:
+    """Photos whose lines do not tell where they were taken, where poses were refined."""
+    if not scene.unplaced:
+        return ()
+    names = listed(scene.unplaced)
+    if len(scene.unplaced) == 1:
+        told = f"{names} shows too few lines to tell where it was taken, or parallel ones. Its pose stays"
+    else:
+        told = f"{names} show too few lines to tell where they were taken, or parallel ones. Their poses stay"
+    return (f"{told} as given, and lines rest on the other photos.",)
+
+
 def frame_notes(scene: AdjustedScene, prior: KnownPoses | None, options: SceneOptions) -> tuple[str, ...]:
     """Of poses that were refined from given ones, which a `prior` may hold; nothing where they were held."""
     if "poses" not in options.refine:

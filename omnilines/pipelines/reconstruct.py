@@ -39,7 +39,7 @@ from omnilines.pipelines.coplanar_lines import coplanar_lines
 from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
-from omnilines.pipelines.frame_notes import frame_notes
+from omnilines.pipelines.frame_notes import frame_notes, unplaced_notes
 from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
@@ -242,6 +242,7 @@ def _scene(
         *unfollowed_errors(cameras, options, supposed),
         *_of_few(len(arcs.used), options.min_views),
         *_of_poses(posed, found.scene.poses, len(lost), options.posing),
+        *unplaced_notes(found.scene),
         *_of_given(posed, found, known, options),
         *frame.notes,
         *size_notes(frame.lines, frame.poses, options.judge),
