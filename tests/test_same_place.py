@@ -11,6 +11,7 @@ import torch
 import omnilines as ol
 from camera_models import Calibration, CameraModel
 from camera_models.pose import Pose
+from omnilines.pipelines.arcs import skipped
 from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.same_place import without_same_place
 from omnilines.posing.photo_poses import PhotoPoses
@@ -52,6 +53,15 @@ def test_the_second_photo_of_a_place_is_left_out(burst: tuple[PhotoArcs, PhotoPo
     assert reasons[0] == "It shows what 0a.png shows from the same place, which tells no distances."
     asked, _ = without_same_place(arcs, posed, Calibration({"cam0": camera}), asked=("1b.png",))
     assert used(asked) == ["0a.png", "1b.png", "2a.png", "3a.png", "4a.png"]
+
+
+def test_a_photo_that_shows_no_line_changes_nothing(burst: tuple[PhotoArcs, PhotoPoses, CameraModel]) -> None:
+    """As of a bare wall, or with a mask over all of it."""
+    arcs, posed, camera = burst
+    bare = replace(skipped(arcs.photos[3].photo, "cam0", ""), reason=None)
+    given = replace(arcs, photos=(*arcs.photos[:3], bare, *arcs.photos[4:]))
+    left, poses = without_same_place(given, posed, Calibration({"cam0": camera}))
+    assert used(left) == ["0a.png", "1a.png", "1b.png", "2a.png", "3a.png", "4a.png"] == list(poses.poses.images)
 
 
 @pytest.mark.slow

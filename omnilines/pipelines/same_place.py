@@ -36,8 +36,8 @@ def without_same_place(
 ) -> tuple[PhotoArcs, PhotoPoses]:
     """The photos with those skipped that show what another shows from the same place, and the poses of the others. The first of
     them stays, or one of `asked`. Where fewer than LEAST_PLACES are left, none is skipped: what is wrong is said of all."""
-    found = in_order(arcs.photos, posed.poses)
-    if len(found) < 2 or not all(map(len, found)):
+    found = [one for one in in_order(arcs.photos, posed.poses) if len(one)]
+    if len(found) < 2:
         return arcs, posed
     whole, reasons = viewed_arcs(found, posed.poses, cameras), dict[str, str]()
     near = _nearness_px(whole, posed.poses) < options.near_px
