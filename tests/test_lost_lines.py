@@ -102,6 +102,7 @@ def test_a_photo_that_shows_too_few_lines_to_be_placed_leaves_the_others_their_c
     assert found.adjusted.outcome is Outcome.CONVERGED and found.poses.covariance is not None
     assert np.isfinite(found.lines.sigma_m[found.lines.known]).all() and (found.poses.covariance[others] != 0.0).any((1, 2)).all()
     assert found.unplaced == (() if placed else (poses.images[photo],)) and len(found.residual_px) == len(found.table.rows)
+    assert bool(np.isfinite(found.poses.covariance[photo]).all()) is placed
     moved = (found.poses.cam_from_world[photo] @ scene.poses[photo].inverse()).log()
     assert bool((moved.abs() > 1e-12).any()) is placed
     (note,) = unplaced_notes(found) or ("",)

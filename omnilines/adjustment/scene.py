@@ -151,7 +151,9 @@ def reconstruct_lines(
         unit = residual_sigma(cost, rests.inner, adjusted.state)
         adjusted = adjust(rests.inner, adjusted.state, Loss(loss, options.loss_scale * level * unit))
     if refine_poses or refine_rig:
-        poses = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=adjusted.pose_covariance.numpy())
+        told = _told_photos(rests.inner, adjusted.state, refine_rig)[:, None, None]
+        covariance = torch.where(told, adjusted.pose_covariance, math.nan).numpy()
+        poses = replace(poses, cam_from_world=adjusted.state.cam_from_world, covariance=covariance)
     scene = _described(rests, state, adjusted, poses, names, table=table, refined_rig=refine_rig, options=options)
     return replace(scene, unplaced=tuple(name for name, lost in zip(poses.images, unplaced.tolist(), strict=True) if lost))
 
@@ -188,6 +190,15 @@ def _sound(
             return _Rests(inner, tracks, member, first), state, adjusted
         for status, some in lost.items():
             first = without_lines(first, tracks[some], status)
+
+
+def _told_photos(arcs: MatchedArcs, state: LinesAndPoses, refined_rig: bool) -> Bool[Tensor, " images"]:
+    """Photos of which arcs tell something: their own, or those of another photo of their instant."""
+    seen = torch.bincount(arcs.image, minlength=arcs.images) > 0
+    if state.rig is None or refined_rig:
+        return seen
+    frames = torch.zeros(len(state.rig_from_world), dtype=torch.bool).index_fill(0, state.rig.frame[seen], True)
+    return frames[state.rig.frame]
 
 
 def _lost_photos(arcs: MatchedArcs, adjusted: Adjusted, prior: PosePrior | None, weak_share: float) -> Bool[Tensor, " images"]:

@@ -184,11 +184,13 @@ def plane_angles_deg(scene: Scene, rows: Int[np.ndarray, " n"]) -> Float[np.ndar
 def _least_sure_photo(scene: Scene) -> tuple[Advice, ...]:
     """The photo whose place is much less sure than that of the others."""
     covariance = scene.poses.covariance
-    if covariance is None or len(scene.poses) < 3 or not np.isfinite(covariance).all():
+    if covariance is None or len(scene.poses) < 3:
         return ()
+    known = np.isfinite(covariance).all((1, 2))
     back = scene.poses.cam_from_world.rotation.mT.numpy()
-    sigma = np.sqrt(np.linalg.eigvalsh(back @ covariance[:, 3:, 3:] @ back.swapaxes(-1, -2))[:, -1].clip(min=0))
-    worst, median = int(sigma.argmax()), float(np.median(sigma))
+    spread = back @ np.nan_to_num(covariance[:, 3:, 3:]) @ back.swapaxes(-1, -2)
+    sigma = np.where(known, np.sqrt(np.linalg.eigvalsh(spread)[:, -1].clip(min=0)), 0.0)
+    worst, median = int(sigma.argmax()), float(np.median(sigma[known])) if known.any() else 0.0
     if not sigma[worst] > STANDS_OUT * median > 0:
         return ()
     apart = (scene.poses.cam_from_world.centre - scene.poses.cam_from_world.centre[worst]).norm(dim=-1)
