@@ -11,8 +11,9 @@ from numpy.polynomial.polynomial import polyval
 
 from camera_models import Calibration, Equirectangular, InputError, OpenCVFisheye, Pinhole, Scaramuzza, convert
 from camera_models.formats import read, write
-from camera_models.formats.calibration_data import RigCamera
+from camera_models.formats.calibration_data import CameraEstimate, RigCamera
 from camera_models.pose import Pose
+from omnilines.pipelines.convert import convert as converted
 
 WIDTH, HEIGHT = 1280, 960
 WIDE = np.linspace(0.01, math.radians(105), 60)
@@ -97,6 +98,23 @@ def test_ftheta_is_written_with_a_polynomial_that_inverts(tmp_path: Path) -> Non
     for _ in range(3):
         found = found - (polyval(found, forward) - delta) / polyval(found, forward[1:] * np.arange(1, 6))
     assert np.abs(found - theta).max() < 1e-5
+
+
+def test_the_error_of_the_second_ftheta_polynomial_is_stated(tmp_path: Path) -> None:
+    path = tmp_path / "ftheta.json"
+    given = OpenCVFisheye([300.0, 300.0, 639.5, 639.5, 0.3, -0.05, 0.0, 0.0], (1280, 1280))
+    calibration = Calibration({"cam0": given}, {"cam0": CameraEstimate(max_angle_deg=100.0)})
+    result = converted(calibration, path)
+    result.save()
+    keys = json.loads(path.read_text())
+    theta = np.linspace(0, math.radians(100), 5000)
+    delta = polyval(theta, keys["angle_to_pixeldist_poly"])
+    off = polyval(polyval(delta, keys["pixeldist_to_angle_poly"]), keys["angle_to_pixeldist_poly"]) - delta
+    (note,) = result.notes
+    said_px = float(note.partition(" px off at most up to 100 degrees")[0].rpartition(" ")[2])
+    assert said_px > 1 and said_px == pytest.approx(np.abs(off).max(), rel=0.05)
+    # What the file says is exact all the same.
+    assert not result.errors and torch.equal(read(path).calibration["cam0"].parameters, given.parameters)
 
 
 def test_an_ftheta_image_of_any_size_is_not_looked_at(tmp_path: Path) -> None:

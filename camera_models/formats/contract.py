@@ -45,6 +45,8 @@ class Nearly:
     """The largest error."""
     angles_deg: tuple[float, float] | None
     """The angles off axis within which that is so; None for all that the image sees."""
+    begins: bool = False
+    """Whether its tools only begin there, and come to what is exact from it."""
 
 
 class CalibrationFormat(ABC):
@@ -94,7 +96,8 @@ class CalibrationFormat(ABC):
         return (frozenset() if several else self.KEEPS) | (frozenset({"rig"}) if self.RIGS and not alone else frozenset())
 
     def nearly(self, calibration: Calibration) -> dict[str, Nearly]:
-        """What its own tools work with beside the exact parameters, where that is off, by camera; the default is nothing."""
+        """What its own tools work with, or begin with, beside the exact parameters, where that is off, by camera; the default is
+        nothing."""
         return {}
 
     def forms_at(self, path: Path, calibration: Calibration) -> tuple[Form, ...]:

@@ -5,9 +5,9 @@
     reference_poly PIXELDIST_TO_ANGLE    theta(delta) = b_0 + b_1 delta + ... + b_5 delta^5   (pixeldist_to_angle_poly)
 
 The centre of the first pixel is (0, 0); x is right, y down, z forward. The polynomial that is not the reference is where tools
-begin to invert the other: it is fitted when writing. An odd a(theta) with d = e = 0 is opencv-fisheye with k1 and k2; any other
-curve is read as the scaramuzza polynomial nearest to it, and a note states the error. NCore documentation, "Sensor Models";
-`FThetaCameraModel` of gsplat, which itself ends at 90 degrees off axis.
+begin to invert the other, by steps of Newton: it is fitted when writing, and a note states its error. An odd a(theta) with d = e
+= 0 is opencv-fisheye with k1 and k2; any other curve is read as the scaramuzza polynomial nearest to it, and a note states the
+error. NCore documentation, "Sensor Models"; `FThetaCameraModel` of gsplat, which itself ends at 90 degrees off axis.
 """
 
 import math
@@ -22,8 +22,9 @@ from numpy.polynomial.polynomial import polyval
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate
-from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents, left_out
+from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents, Nearly, left_out
 from camera_models.formats.forms import Form
+from camera_models.formats.inverse_polynomial import HARMLESS_PX, Inverse
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.nearest import nearest_polynomial
 from camera_models.formats.transfer import seen_deg
@@ -56,6 +57,15 @@ class FTheta(CalibrationFormat):
     def recognises(self, path: Path, head: str) -> bool:
         """JSON with one of the polynomials."""
         return path.suffix.lower() in self.SUFFIXES and any(f'"{key}"' in head for key in POLYNOMIALS.values())
+
+    def nearly(self, calibration: Calibration) -> dict[str, Nearly]:
+        """The second polynomial, where it is off."""
+        inverses = {name: _inverse_of(calibration, name) for name in calibration}
+        return {
+            name: Nearly(f"second polynomial ({POLYNOMIALS[BACKWARD]})", inverse.off_px, inverse.angles_deg, begins=True)
+            for name, inverse in inverses.items()
+            if inverse.off_px > HARMLESS_PX
+        }
 
     def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
         data = mapping(read_json(path), "the file")
@@ -96,22 +106,40 @@ class FTheta(CalibrationFormat):
     def _documents(self, path: Path, calibration: Calibration) -> Documents:
         ((name, model),) = calibration.items()
         self.exact_form(model)
-        fx, fy, cx, cy, k1, k2 = (model.named_parameters()[key] for key in self.FORMS[0].order or ())
-        forward = [0.0, fy, 0.0, fy * k1, 0.0, fy * k2]
-        reach_deg = calibration.estimates.get(name, CameraEstimate()).max_angle_deg
-        end = _max_angle(model) if reach_deg is None else math.radians(reach_deg)
-        theta = np.linspace(0.0, min(end, model.max_angle), SAMPLES)[1:]
-        delta = polyval(theta, forward)
-        scale = float(delta.max())
-        # theta / delta by a polynomial of the fourth degree: theta(0) = 0 exactly.
-        inverse = Polynomial.fit(delta / scale, theta / delta, TERMS - 2, domain=[0.0, 1.0], window=[0.0, 1.0]).coef
-        backward = [0.0, *(float(value) / scale**power for power, value in enumerate(inverse))]
+        fx, fy, cx, cy = (model.named_parameters()[key] for key in ("fx", "fy", "cx", "cy"))
         keys: dict[str, Any] = {
             "resolution": list(model.image_size), "shutter_type": "GLOBAL", "external_distortion_parameters": None,
-            "principal_point": [cx, cy], "reference_poly": FORWARD, POLYNOMIALS[BACKWARD]: backward,
-            POLYNOMIALS[FORWARD]: forward, "max_angle": end, "linear_cde": [fx / fy, 0.0, 0.0],
+            "principal_point": [cx, cy], "reference_poly": FORWARD,
+            POLYNOMIALS[BACKWARD]: _inverse_of(calibration, name).coefficients, POLYNOMIALS[FORWARD]: _forward(model),
+            "max_angle": _end(calibration, name), "linear_cde": [fx / fy, 0.0, 0.0],
         }  # fmt: skip
         return {path: json_text(keys)}
+
+
+def _forward(model: CameraModel) -> list[float]:
+    """a_0 ... a_5 of an opencv-fisheye without k3 and k4."""
+    fy, k1, k2 = (model.named_parameters()[key] for key in ("fy", "k1", "k2"))
+    return [0.0, fy, 0.0, fy * k1, 0.0, fy * k2]
+
+
+def _end(calibration: Calibration, name: str) -> float:
+    """The angle off axis (rad) up to which a camera is used."""
+    reach_deg = calibration.estimates.get(name, CameraEstimate()).max_angle_deg
+    return _max_angle(calibration[name]) if reach_deg is None else math.radians(reach_deg)
+
+
+def _inverse_of(calibration: Calibration, name: str) -> Inverse:
+    """b_0 ... b_5, as near to the inverse of a_0 ... a_5 as their number allows, and how far from it (px)."""
+    model = calibration[name]
+    forward, end = _forward(model), min(_end(calibration, name), model.max_angle)
+    theta = np.linspace(0.0, end, SAMPLES)[1:]
+    delta = polyval(theta, forward)
+    scale = float(delta.max())
+    # theta / delta by a polynomial of the fourth degree: theta(0) = 0 exactly.
+    fitted = Polynomial.fit(delta / scale, theta / delta, TERMS - 2, domain=[0.0, 1.0], window=[0.0, 1.0]).coef
+    backward = [0.0, *(float(value) / scale**power for power, value in enumerate(fitted))]
+    off_px = float(np.abs(polyval(polyval(delta, backward), forward) - delta).max())
+    return Inverse(backward, off_px, (0.0, math.degrees(end)))
 
 
 def _max_angle(model: CameraModel) -> float:

@@ -277,6 +277,13 @@ def _off(nearly: dict[str, Nearly], target: CalibrationFormat) -> list[str]:
     """What tools that take the near statement see, one sentence for each camera."""
     sentences = []
     for name, item in nearly.items():
+        if item.begins:
+            assert item.angles_deg is not None
+            sentences.append(
+                f"The {item.what} of {name}, where {target.TITLE}'s tools begin to invert the first, is {item.off_px:.2g} px off "
+                f"at most up to {item.angles_deg[1]:.0f} degrees off axis; a tool that takes no steps from there is off as much."
+            )
+            continue
         where = "over the image"
         if item.angles_deg is not None:
             where = "from {:.0f} to {:.0f} degrees off axis, where the data of the calibration lie, and wrong beyond".format(

@@ -42,20 +42,22 @@ def _checks(result: ConversionResult) -> tuple[Check, ...]:
         limit = MOST_OFF * max(result.original[name].image_size)
         checks.append(Check(f"RMS error of {name}, beside 0.2 % of the image", error.rms_px, limit, "px", error.rms_px <= limit))
     for name, near in result.fit.nearly.items():
+        if near.begins:
+            continue
         limit = MOST_OFF * max(result.original[name].image_size)
         checks.append(Check(f"Largest error of the {near.what} of {name}", near.off_px, limit, "px", near.off_px <= limit))
     return tuple(checks)
 
 
 def _camera_data(result: ConversionResult, name: str) -> dict[str, Any]:
-    model, error = result.calibration[name], result.errors.get(name)
+    model, error, near = result.calibration[name], result.errors.get(name), result.fit.nearly.get(name)
     return {
         "from_model": result.original[name].NAME,
         "model": model.NAME,
         "form": result.fit.forms[name].name,
         "image_size": list(model.image_size),
         "parameters": model.named_parameters(),
-        "exact": error is None and name not in result.fit.nearly,
+        "exact": error is None and (near is None or near.begins),
         **{key: None if error is None else getattr(error, key) for key in FIGURES},
     }
 
@@ -65,7 +67,7 @@ def _sentence(result: ConversionResult, name: str) -> str:
     held = model if form == model else f"{model} as {form}"
     near = result.fit.nearly.get(name)
     if error is None:
-        return f"{held}, exactly" if near is None else f"{held}, its {near.what} {near.off_px:.2g} px off at most"
+        return f"{held}, exactly" if near is None or near.begins else f"{held}, its {near.what} {near.off_px:.2g} px off at most"
     return (
         f"{result.original[name].NAME} fitted by {held}: {error.rms_px:.3g} px RMS, {error.max_px:.3g} px at most, within "
         f"{error.fov_deg:.0f} degrees"
