@@ -8,18 +8,25 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, UInt, UInt8
+from jaxtyping import Bool, Shaped, UInt, UInt8
 
 from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes
 from camera_models.typed import typed
 from omnilines.machine import available_bytes
-from omnilines.photo_size import may_be_transparent, size_of_photo
+from omnilines.photo_size import (
+    in_planes,
+    is_tiff,
+    may_be_transparent,
+    orientation_of_photo,
+    size_of_photo,
+    tags_may_follow,
+)
 
 MOST_PIXELS = 1 << 29
 """Of a photo: a panorama of 32766 x 16383, the widest that `rectify` takes. Larger ones in a few bytes are made to harm."""
 
-_HEADER_BYTES = 1 << 16
+_HEADER_BYTES = 1 << 18
 """Of a photo, that mostly hold all before its pixels."""
 LONGEST_JPEG_PX = 65_500
 """A side of what libjpeg writes."""
@@ -42,15 +49,40 @@ def decoded_photo(content: bytes, name: str) -> UInt[np.ndarray, "h w *channels"
 
 @typed
 def opaque_pixels(path: str | Path) -> Bool[np.ndarray, "h w"] | None:
-    """Where a PNG or WebP shows anything: true where it is not wholly transparent, rows and columns as they stand in the file,
-    whatever its EXIF orientation; None where that is everywhere, and of other files. Raises InputError as `read_photo`."""
-    if not may_be_transparent(read_bytes(Path(path), _HEADER_BYTES)):
+    """Where a PNG, WebP or TIFF in colour shows anything: true where it is not wholly transparent, upright; None where that is
+    everywhere, and of other files. Raises InputError as `read_photo`."""
+    if not may_be_transparent(start_of_photo(Path(path))):
         return None
-    pixels = _decoded(read_bytes(Path(path)), str(Path(path)), cv2.IMREAD_UNCHANGED)
+    content = read_bytes(Path(path))
+    pixels = _decoded(content, str(Path(path)), cv2.IMREAD_UNCHANGED)
     if pixels.shape[2:] != (4,):
         return None
     opaque: Bool[np.ndarray, "h w"] = pixels[..., 3] > 0
-    return None if opaque.all() else opaque
+    if opaque.all():
+        return None
+    # OpenCV turns every TIFF, and others where it drops their transparency.
+    return opaque if is_tiff(content) else _upright(opaque, orientation_of_photo(content))
+
+
+def start_of_photo(path: Path) -> bytes:
+    """What stands before the pixels of a photo; all of a TIFF, whose tags may stand behind them."""
+    start = read_bytes(path, _HEADER_BYTES)
+    return read_bytes(path) if is_tiff(start) else start
+
+
+def orientation_of_file(path: Path) -> int:
+    """1 to 8 as in Exif 2.3; 1 where none is stated, or the file cannot be read."""
+    try:
+        start = read_bytes(path, _HEADER_BYTES)
+        return orientation_of_photo(read_bytes(path) if tags_may_follow(start) else start)
+    except InputError:
+        return 1
+
+
+def _upright(pixels: Shaped[np.ndarray, "h w"], orientation: int) -> Shaped[np.ndarray, "..."]:
+    """Pixels as they stand in a file, turned as its orientation says."""
+    stood = pixels.T if orientation >= 5 else pixels
+    return stood[:: -1 if orientation in (3, 4, 7, 8) else 1, :: -1 if orientation in (2, 3, 6, 7) else 1]
 
 
 def _decoded(content: bytes, name: str, flags: int) -> UInt[np.ndarray, "h w *channels"]:
@@ -68,6 +100,12 @@ def _decoded(content: bytes, name: str, flags: int) -> UInt[np.ndarray, "h w *ch
         raise InputError(f"The image {name} cannot be decoded: it is damaged, cut short or of another format; copy it again.")
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"The image {name} must have 8 or 16 bits per channel, found {pixels.dtype}; convert it.")
+    if pixels.dtype == np.uint16 and in_planes(content):
+        # OpenCV takes the first plane for all colours.
+        raise InputError(
+            f"The image {name} was expected to hold its colours pixel by pixel, found them in planes of 16 bits; save it "
+            "interleaved (PlanarConfiguration 1)."
+        )
     return pixels
 
 

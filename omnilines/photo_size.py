@@ -1,26 +1,34 @@
-"""What the first bytes of a photo say: how large it is, asked before it is decoded, since few bytes may stand for gigabytes of
-pixels, whether it may have 16 bits a channel, and whether it may be transparent."""
+"""What the bytes of a photo say beside its pixels: how large it is, asked before it is decoded, since few bytes may stand for
+gigabytes of pixels, whether it may have 16 bits a channel, whether it may be transparent, and how it is to be turned."""
 
 import re
 import struct
+from collections.abc import Iterator
 
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _PNM = re.compile(rb"P[1-6](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9})\s")
 _FILLING = re.compile(rb"\xff*")
-_WIDTH_TAG, _HEIGHT_TAG = 256, 257
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF, _BIG_TIFF = (b"II*\0", b"MM\0*"), (b"II+\0", b"MM\0+")
+_WIDTH_TAG, _HEIGHT_TAG, _COLOURS_TAG, _ORIENTATION_TAG, _SAMPLES_TAG, _PLANES_TAG, _EXTRA_TAG = 256, 257, 262, 274, 277, 284, 338
+_RGB, _IN_PLANES, _ALPHA = 2, 2, (1, 2)
+"""Values of the tags of TIFF 6.0: PhotometricInterpretation, PlanarConfiguration, and those of ExtraSamples that are opacity."""
 MOST_SEGMENTS = 100_000
 """Of a JPEG before its frame."""
+MOST_ENTRIES = 1000
+"""Of a directory of tags."""
 
 
 def size_of_photo(data: bytes) -> tuple[int, int] | None:
     """Width and height (px) that a PNG, JPEG, TIFF, BMP, WebP or PNM says it has; None of others and of damaged ones."""
     try:
-        if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        if data.startswith(_PNG):
             return struct.unpack_from(">II", data, 16)
         if data.startswith(b"\xff\xd8"):
             return _jpeg(data)
-        if data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-            return _tiff(data)
+        if is_tiff(data):
+            tags = _tags(data)
+            return (tags[_WIDTH_TAG], tags[_HEIGHT_TAG]) if tags.keys() >= {_WIDTH_TAG, _HEIGHT_TAG} else None
         if data.startswith(b"BM"):
             old = struct.unpack_from("<I", data, 14)[0] == 12
             width, height = struct.unpack_from("<HH" if old else "<ii", data, 18)
@@ -49,12 +57,97 @@ def may_have_16_bits(data: bytes) -> bool:
 
 
 def may_be_transparent(data: bytes) -> bool:
-    """Whether a PNG, by its kind of colour or a table before its pixels, or a WebP, by its first bytes, has transparency."""
-    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+    """Whether a PNG, by its kind of colour or a table before its pixels, a WebP, by its first bytes, or a TIFF in colour, by its
+    tags, has transparency."""
+    if data.startswith(_PNG):
         return data[25:26] in (b"\x04", b"\x06") or b"tRNS" in data.partition(b"IDAT")[0]
     if data[:4] == b"RIFF" and len(data) >= 30:
         return bool((data[12:16] == b"VP8X" and data[20] & 0x10) or (data[12:16] == b"VP8L" and data[24] & 0x10))
-    return False
+    tags = tiff_tags(data)
+    return (tags.get(_COLOURS_TAG), tags.get(_SAMPLES_TAG)) == (_RGB, 4) and tags.get(_EXTRA_TAG) in _ALPHA
+
+
+def in_planes(data: bytes) -> bool:
+    """Whether a TIFF holds one colour after the other, not pixel after pixel."""
+    tags = tiff_tags(data)
+    return tags.get(_PLANES_TAG) == _IN_PLANES and tags.get(_SAMPLES_TAG, 1) > 1
+
+
+def is_tiff(data: bytes) -> bool:
+    """Whether the first bytes are those of a TIFF, whose tags may stand behind its pixels."""
+    return data[:4] in _TIFF + _BIG_TIFF
+
+
+def tags_may_follow(data: bytes) -> bool:
+    """Whether the first bytes are those of a file whose orientation may stand behind its pixels."""
+    return is_tiff(data) or data.startswith(_PNG) or data[:4] == b"RIFF"
+
+
+def orientation_of_photo(data: bytes) -> int:
+    """1 to 8 as in Exif 2.3, of a TIFF, JPEG, PNG or WebP; 1 where none is stated."""
+    try:
+        value = next((tags[_ORIENTATION_TAG] for tags in map(_tags, _tiffs(data)) if _ORIENTATION_TAG in tags), 1)
+    except (struct.error, OverflowError):  # cut short
+        return 1
+    return value if 1 <= value <= 8 else 1
+
+
+def tiff_tags(data: bytes) -> dict[int, int]:
+    """The tags of the first page of a TIFF, the one that is read, that have one whole number; none of others and damaged ones."""
+    try:
+        return _tags(data) if is_tiff(data) else {}
+    except (struct.error, OverflowError):
+        return {}
+
+
+def _tags(tiff: bytes) -> dict[int, int]:
+    """Those of the first directory; raises struct.error where it is cut short."""
+    order, big = "<" if tiff.startswith(b"II") else ">", tiff[:4] in _BIG_TIFF
+    (place,) = struct.unpack_from(order + ("Q" if big else "I"), tiff, 8 if big else 4)
+    (entries,) = struct.unpack_from(order + ("Q" if big else "H"), tiff, place)
+    place, entry = place + (8 if big else 2), 20 if big else 12
+    found: dict[int, int] = {}
+    for _ in range(min(entries, MOST_ENTRIES)):
+        tag, kind, count = struct.unpack_from(order + ("HHQ" if big else "HHI"), tiff, place)
+        form = {3: "H", 4: "I", 16: "Q" if big else None}.get(kind)
+        if count == 1 and form is not None:
+            (found[tag],) = struct.unpack_from(order + form, tiff, place + (12 if big else 8))
+        place += entry
+    return found
+
+
+def _tiffs(data: bytes) -> Iterator[bytes]:
+    """Where tags stand: in a TIFF file itself, in segments of a JPEG, in a chunk of a PNG or a WebP."""
+    if is_tiff(data):
+        yield data
+    elif data[:2] == b"\xff\xd8":
+        at = 2
+        while data[at : at + 1] == b"\xff":
+            _, kind, length = struct.unpack_from(">BBH", data, at)
+            if kind in (0xD9, 0xDA):
+                return
+            if kind == 0xE1 and data[at + 4 : at + 10] == b"Exif\0\0":
+                yield from _exif(data[at + 10 : at + 2 + length])
+            at += 2 + length
+    elif data.startswith(_PNG):
+        at = 8
+        while at + 8 <= len(data):
+            (length,) = struct.unpack_from(">I", data, at)
+            if data[at + 4 : at + 8] == b"eXIf":
+                yield from _exif(data[at + 8 : at + 8 + length])
+            at += 12 + length
+    elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+        at = 12
+        while at + 8 <= len(data):
+            (length,) = struct.unpack_from("<I", data, at + 4)
+            if data[at : at + 4] == b"EXIF":
+                yield from _exif(data[at + 8 : at + 8 + length].removeprefix(b"Exif\0\0"))
+            at += 8 + length + length % 2
+
+
+def _exif(tiff: bytes) -> Iterator[bytes]:
+    if is_tiff(tiff):
+        yield tiff
 
 
 def _jpeg(data: bytes) -> tuple[int, int] | None:
@@ -71,21 +164,6 @@ def _jpeg(data: bytes) -> tuple[int, int] | None:
             return width, height
         place += 2 + length
     return None
-
-
-def _tiff(data: bytes) -> tuple[int, int] | None:
-    """That of the first page, the one that is read; of BigTIFF too."""
-    order, big = "<" if data.startswith(b"II") else ">", data[2:4] in (b"+\0", b"\0+")
-    (place,) = struct.unpack_from(order + ("Q" if big else "I"), data, 8 if big else 4)
-    (count,) = struct.unpack_from(order + ("Q" if big else "H"), data, place)
-    place, entry = place + (8 if big else 2), 20 if big else 12
-    found: dict[int, int] = {}
-    for _ in range(min(count, 1000)):
-        tag, kind = struct.unpack_from(order + "HH", data, place)
-        if tag in (_WIDTH_TAG, _HEIGHT_TAG):
-            (found[tag],) = struct.unpack_from(order + {3: "H", 4: "I"}.get(kind, "Q"), data, place + (12 if big else 8))
-        place += entry
-    return (found[_WIDTH_TAG], found[_HEIGHT_TAG]) if len(found) == 2 else None
 
 
 def _webp(data: bytes) -> tuple[int, int] | None:

@@ -1,8 +1,6 @@
 """Masks of photos: which is whose, and that arcs, chains and features keep to them."""
 
 import json
-import struct
-import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -117,20 +115,24 @@ def test_what_is_transparent_is_left_out_as_by_a_mask(photos: Path, tmp_path: Pa
     assert chains.pixels[chains.image[chains.chain] == 0, 0].max() < 160
 
 
+@pytest.mark.parametrize("ending", ["png", "webp", "tif"])
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_transparency_is_turned_as_the_photo_is(tmp_path: Path, orientation: int) -> None:
+def test_transparency_is_turned_as_the_photo_is(tmp_path: Path, orientation: int, ending: str) -> None:
     """A pixel is as transparent as it is dark, turned by OpenCV and by us."""
     grey = (np.arange(24).reshape(4, 6) % 3 == 0).astype(np.uint8) * 255
-    tags = b"II*\0" + struct.pack("<IHHHIHHI", 8, 1, 0x0112, 3, 1, orientation, 0, 0)
-    chunk = struct.pack(">I", len(tags)) + b"eXIf" + tags + struct.pack(">I", zlib.crc32(b"eXIf" + tags))
-    plain = cv2.imencode(".png", np.dstack([grey] * 4))[1].tobytes()
-    (tmp_path / "a.png").write_bytes(plain[:33] + chunk + plain[33:])
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    more = {"lossless": True, "exact": True} if ending == "webp" else {}
+    Image.fromarray(np.dstack([grey] * 4), "RGBA").save(tmp_path / f"a.{ending}", exif=exif, **more)
     photo = find_photos([tmp_path])[0]
     pixels = photo.read()
+    assert pixels.shape[:2] == (grey.shape if orientation < 5 else grey.T.shape)
     np.testing.assert_array_equal(looked_at(photo, pixels.shape[1::-1]), pixels[..., 0] > 0)
 
 
-@pytest.mark.parametrize(("name", "mode"), [("a.png", "LA"), ("a.png", "P"), ("a.webp", "RGBA"), ("lossy.webp", "RGBA")])
+@pytest.mark.parametrize(
+    ("name", "mode"), [("a.png", "LA"), ("a.png", "P"), ("a.webp", "RGBA"), ("lossy.webp", "RGBA"), ("a.tif", "RGBA")]
+)
 def test_transparency_of_all_kinds_of_files_is_found(tmp_path: Path, name: str, mode: str) -> None:
     picture = Image.fromarray(with_alpha(side(True)), "RGBA")
     more: dict[str, object] = {"lossless": name == "a.webp"} if name.endswith("webp") else {}
@@ -141,6 +143,9 @@ def test_transparency_of_all_kinds_of_files_is_found(tmp_path: Path, name: str, 
     np.testing.assert_array_equal(opaque_pixels(tmp_path / name), side(True))
     cv2.imwrite(str(tmp_path / "plain.jpg"), halves())
     assert opaque_pixels(tmp_path / "plain.jpg") is None
+    # Four channels of which nothing says that the last is opacity: it may be near infrared.
+    cv2.imwrite(str(tmp_path / "four.tif"), with_alpha(side(True)))
+    assert opaque_pixels(tmp_path / "four.tif") is None
 
 
 def test_a_photo_whose_mask_cannot_be_used_is_skipped(photos: Path, tmp_path: Path) -> None:

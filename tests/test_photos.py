@@ -193,6 +193,62 @@ def test_a_photo_turned_otherwise_by_its_exif_is_named(tmp_path: Path) -> None:
     assert turned_otherwise(find_photos([tmp_path / "half.jpg"])) == {}
 
 
+def behind_pixels(ending: str, pixels: np.ndarray, orientation: int) -> bytes:
+    """A photo whose orientation stands behind its pixels, as many programs write it."""
+    data, tags = cv2.imencode(ending, pixels, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes(), exif(orientation)[10:]
+    if ending == ".png":
+        return (
+            data[:-12]
+            + struct.pack(">I", len(tags))
+            + b"eXIf"
+            + tags
+            + struct.pack(">I", zlib.crc32(b"eXIf" + tags))
+            + data[-12:]
+        )
+    if ending == ".webp":
+        sides = b"".join((side - 1).to_bytes(3, "little") for side in pixels.shape[1::-1])
+        parts = b"WEBPVP8X" + struct.pack("<II", 10, 8) + sides + data[12:] + b"EXIF" + struct.pack("<I", len(tags)) + tags
+        return b"RIFF" + struct.pack("<I", len(parts)) + parts
+    (place,) = struct.unpack_from("<I", data, 4)
+    (count,) = struct.unpack_from("<H", data, place)
+    entries = sorted(
+        [data[at : at + 12] for at in range(place + 2, place + 2 + 12 * count, 12)] + [tags[10:22]], key=lambda e: e[1::-1]
+    )
+    padded = data + bytes(len(data) % 2)
+    return padded[:4] + struct.pack("<I", len(padded)) + padded[8:] + struct.pack("<H", count + 1) + b"".join(entries) + bytes(4)
+
+
+@pytest.mark.parametrize("ending", [".png", ".webp", ".tif"])
+def test_an_orientation_behind_the_pixels_is_found(tmp_path: Path, ending: str) -> None:
+    pixels = np.random.default_rng(0).integers(0, 255, (400, 420, 3), dtype=np.uint8)
+    for name, orientation in (("a", 1), ("b", 1), ("c", 3)):
+        data = behind_pixels(ending, pixels, orientation)
+        assert len(data) > 1 << 18
+        (tmp_path / f"{name}{ending}").write_bytes(data)
+    photos = find_photos([tmp_path])
+    upright, _, turned = (photo.read() for photo in photos)
+    assert np.array_equal(upright, pixels) and np.array_equal(turned, pixels[::-1, ::-1])
+    assert list(turned_otherwise(photos)) == [f"c{ending}"]
+
+
+def test_deep_colours_in_planes_are_refused(tmp_path: Path) -> None:
+    """OpenCV 5.0 reads the first plane as all three colours; those of 8 bits it reads."""
+    for kind in (np.uint8, np.uint16):
+        pixels = np.random.default_rng(0).integers(0, np.iinfo(kind).max, (6, 8, 3), dtype=kind)
+        size, depth = pixels.nbytes, 8 * pixels.itemsize
+        tags = [(256, 1, 8), (257, 1, 6), (258, 3, 170), (259, 1, 1), (262, 1, 2), (273, 3, 176), (277, 1, 3), (278, 1, 6)]
+        tags += [(279, 3, 188), (284, 1, 2)]
+        entries = b"".join(struct.pack("<HHII", tag, 3 if tag == 258 else 4, count, value) for tag, count, value in tags)
+        beside = struct.pack("<3H3I3I", *[depth] * 3, *(200 + k * size // 3 for k in range(3)), *[size // 3] * 3)
+        header = b"II*\0" + struct.pack("<IH", 8, len(tags)) + entries + bytes(4)
+        data = header.ljust(170, b"\0") + beside + pixels.transpose(2, 0, 1).tobytes()
+        (tmp_path / f"{depth}.tif").write_bytes(data)
+        if kind is np.uint8:
+            assert np.array_equal(read_photo(tmp_path / "8.tif"), pixels[..., ::-1])
+    with pytest.raises(InputError, match=r"16\.tif .* colours pixel by pixel, found them in planes of 16 bits"):
+        read_photo(tmp_path / "16.tif")
+
+
 def damaged(kind: str) -> bytes:
     pixels = np.random.default_rng(2).integers(0, 255, (64, 64, 3), dtype=np.uint8)
     jpeg, png, tiff = (cv2.imencode(suffix, pixels)[1].tobytes() for suffix in (".jpg", ".png", ".tif"))

@@ -20,7 +20,6 @@ from jaxtyping import Bool
 
 from camera_models.errors import InputError
 from camera_models.wording import listed
-from omnilines.files.orientation import exif_orientation, upright
 from omnilines.files.photos import PHOTO_SUFFIXES, Photo, PhotoRef
 from omnilines.photo_file import opaque_pixels, read_photo
 
@@ -89,7 +88,7 @@ def _opaque(photo: Photo) -> Bool[np.ndarray, "h w"] | None:
         return None
     if not opaque.any():
         raise InputError("It was expected to show something, found every pixel transparent; give it without transparency.")
-    return upright(opaque, exif_orientation(photo))
+    return opaque
 
 
 def white(path: Path) -> Bool[np.ndarray, "h w"]:

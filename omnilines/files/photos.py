@@ -17,13 +17,13 @@ from camera_models.formats.disk import read_bytes, require_in_place, write_atomi
 from camera_models.formats.values import is_text, stray
 from camera_models.typed import typed
 from omnilines.machine import available_bytes
-from omnilines.photo_file import MOST_PIXELS, levels_of, read_photo, stretched
+from omnilines.photo_file import MOST_PIXELS, levels_of, read_photo, start_of_photo, stretched
 from omnilines.photo_size import may_have_16_bits, size_of_photo
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
-_HEADER_BYTES = 1 << 16
-"""Of a photo, that mostly hold its size."""
+_FIRST_BYTES = 64
+"""Of a photo, that say whether it may have 16 bits."""
 READ_BYTES_PER_PIXEL = 6
 """Of a photo of 16 bits in colour."""
 _SHARE = 0.5
@@ -135,7 +135,7 @@ def _may_have_16_bits(photo: Photo) -> bool:
     if isinstance(photo, PhotoArray):
         return photo.pixels.dtype == np.uint16
     try:
-        return may_have_16_bits(read_bytes(photo.path, _HEADER_BYTES))
+        return may_have_16_bits(read_bytes(photo.path, _FIRST_BYTES))
     except InputError:
         return False
 
@@ -241,7 +241,7 @@ def _pixels(photo: Photo) -> int:
     if isinstance(photo, PhotoArray):
         return photo.pixels.shape[0] * photo.pixels.shape[1]
     try:
-        size = size_of_photo(read_bytes(photo.path, _HEADER_BYTES))
+        size = size_of_photo(start_of_photo(photo.path))
     except InputError:
         return 0
     return 0 if size is None or size[0] * size[1] > MOST_PIXELS else size[0] * size[1]
