@@ -263,6 +263,39 @@ def test_a_fit_of_one_focal_length_is_the_best_one() -> None:
     assert rms(0.0) < min(rms(-0.5), rms(0.5))
 
 
+def two_in_usd(tmp_path: Path) -> tuple[Path, str]:
+    """Two cameras 0.1 m apart, and the text of their file."""
+    lens, path = OpenCVFisheye.examples()[0], tmp_path / "rig.usda"
+    beside = Pose.exp(torch.tensor([0.0, 0.0, 0.0, -0.1, 0.0, 0.0], dtype=torch.float64))
+    rig = {"left": RigCamera(Pose.identity()), "right": RigCamera(beside)}
+    write(path, Calibration({"left": lens, "right": lens}, rig=rig))
+    return path, path.read_text()
+
+
+@pytest.mark.parametrize(("said", "metres"), [("metersPerUnit = 1", 0.1), ("metersPerUnit = 0.01", 0.001), ("", 0.001)])
+def test_usd_is_read_in_its_own_unit(tmp_path: Path, said: str, metres: float) -> None:
+    path, text = two_in_usd(tmp_path)
+    path.write_text(text.replace("metersPerUnit = 1", said))
+    content = read(path)
+    assert content.notes == ()
+    assert content.calibration.rig["cam1"].cam_from_rig.translation.tolist() == pytest.approx([-metres, 0, 0])
+
+
+@pytest.mark.parametrize("where", ["of a camera", "around cameras"])
+def test_usd_poses_of_several_steps_are_not_taken_for_none(tmp_path: Path, where: str) -> None:
+    path, text = two_in_usd(tmp_path)
+    if where == "of a camera":
+        text = text.replace(
+            "matrix4d xformOp:transform", "double3 xformOp:translate = (1, 2, 3)\n        matrix4d xformOp:transform", 1
+        )
+    else:
+        text = text.replace('def Xform "Rig"\n{', 'def Xform "Rig"\n{\n    double3 xformOp:translate = (1, 2, 3)')
+    path.write_text(text)
+    content = read(path)
+    assert list(content.calibration) == ["cam0", "cam1"] and not content.calibration.rig
+    assert "Not kept: the poses" in content.notes[-1] and "found xformOp:translate of cameras" in content.notes[-1]
+
+
 def test_usd_opens_with_pixars_library(tmp_path: Path) -> None:
     pxr = pytest.importorskip("pxr")
     from pxr import Usd, UsdGeom

@@ -6,9 +6,10 @@
 The corner of the image is (0, 0): the schema's own principal point is half the image's size, and Newton's renderer, which reads
 these attributes, looks through u = column + 1/2. A prim looks along -z with y up; its `xformOp:transform` is rig_from_camera by
 rows that are multiplied from the left, so that the rig's axes are those of its first camera here (x right, y down, z forward), in
-metres. USD keeps these attributes in single precision. Only what this module writes is read of the language: one attribute a
-line, in prims `def Camera`. "Lens Distortion Schemas" of the ovrtx documentation; `compute_camera_rays_fisheye_opencv` of
-newton-physics.
+units of `metersPerUnit` (0.01 where a stage does not say). USD keeps these attributes in single precision. Only what this module
+writes is read of the language: one attribute a line, in prims `def Camera`; where poses are made of other steps than one matrix
+of the camera's own, none are read, and a note says so. "Lens Distortion Schemas" of the ovrtx documentation; `metrics.h` of
+UsdGeom; `compute_camera_rays_fisheye_opencv` of newton-physics.
 """
 
 import re
@@ -27,6 +28,7 @@ from camera_models.formats.rig_poses import rig_of, rotation_of_matrix
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import number, numbers, of_text
 from camera_models.pose import Pose
+from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _CENTRE = 0.5
@@ -38,6 +40,11 @@ _TRANSFORM, _ORDER, _APPLIED = "xformOp:transform", "xformOpOrder", "apiSchemas"
 _FLIP = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
 """Between our camera frame and that of a prim, either way."""
 _HEAD = '#usda 1.0\n(\n    defaultPrim = "Rig"\n    metersPerUnit = 1\n    upAxis = "Y"\n)\n'
+_STEP = re.compile(r"\bxformOp:[\w:]+(?=\s*=)")
+_METRES = re.compile(r"^\s*metersPerUnit\s*=\s*(.+?)\s*$", re.M)
+_CENTIMETRES = "0.01"
+"""Of a stage that does not say: UsdGeomGetStageMetersPerUnit."""
+_NEXT = re.compile(r"^\s*(?:def|over|class)\b", re.M)
 _PRIM = re.compile(r'^\s*def Camera "([^"\n]+)"', re.M)
 _ATTRIBUTE = re.compile(r"^\s*(?:uniform\s+|custom\s+)*[a-z]\w*(?:\[\])?\s+([A-Za-z][\w:]*)\s*=\s*(.+?)\s*$", re.M)
 
@@ -73,15 +80,31 @@ class Usd(CalibrationFormat):
         cameras: dict[str, CameraModel] = {}
         poses: dict[str, Pose] = {}
         beside: dict[str, list[str]] = {}
-        for begin, end in zip(begins, [*(found.start() for found in begins[1:]), len(content)], strict=True):
+        unit = _METRES.search(content[: begins[0].start()])
+        unit_m = _number(_CENTIMETRES if unit is None else unit[1], "metersPerUnit")
+        if not unit_m > 0:
+            raise InputError(f"metersPerUnit must be above 0, found {unit_m:g}; correct it.")
+        elsewhere = content
+        for begin in begins:
             name = begin[1]
+            after = _NEXT.search(content, begin.end())
+            own = content[begin.start() : len(content) if after is None else after.start()]
+            elsewhere = elsewhere.replace(own, "")
             if name in cameras:
                 raise InputError(f"Each camera must be there once, found {name} twice; rename one.")
-            attributes = dict(_ATTRIBUTE.findall(content[begin.end() : end]))
+            attributes = dict(_ATTRIBUTE.findall(own))
             cameras[name], read = self._camera(attributes, name)
-            poses[name] = _cam_from_rig(attributes.get(_TRANSFORM), name)
+            poses[name] = _cam_from_rig(attributes.get(_TRANSFORM), unit_m, name)
             beside[name] = [key for key in attributes if key not in (*read, _MODEL, _TRANSFORM, _ORDER, _APPLIED)]
-        return Content(Calibration(cameras, rig=rig_of(poses)), left_out(beside))
+        steps = set(_STEP.findall(elsewhere)) | {key for keys in beside.values() for key in keys if key.startswith("xformOp:")}
+        notes = left_out(beside)
+        if steps:
+            notes = (
+                *notes,
+                f"Not kept: the poses, which were expected as one {_TRANSFORM} of each camera, found {listed(sorted(steps))} of "
+                "cameras or of prims around them; bake them into one matrix.",
+            )
+        return Content(Calibration(cameras, rig={} if steps else rig_of(poses)), notes)
 
     def _camera(self, attributes: dict[str, str], name: str) -> tuple[CameraModel, list[str]]:
         """The camera, and the attributes that it is made of."""
@@ -142,14 +165,14 @@ def _matrix(cam_from_rig: Pose) -> str:
     )
 
 
-def _cam_from_rig(written: str | None, name: str) -> Pose:
+def _cam_from_rig(written: str | None, unit_m: float, name: str) -> Pose:
     if written is None:
         return Pose(_FLIP, torch.zeros(3, dtype=torch.float64)).inverse()
     matrix = numbers(
         [_listed(row, 4, _TRANSFORM) for row in re.findall(r"\([^()]*\)", written)], (4, 4), f"{_TRANSFORM} of {name}"
     )
     rotation = rotation_of_matrix(matrix[:3, :3].T, f"{_TRANSFORM} of {name}")
-    return Pose.of(torch.as_tensor(rotation) @ _FLIP, torch.as_tensor(matrix[3, :3])).inverse()
+    return Pose.of(torch.as_tensor(rotation) @ _FLIP, torch.as_tensor(matrix[3, :3] * unit_m)).inverse()
 
 
 def _listed(written: str, count: int, where: str) -> list[float]:
