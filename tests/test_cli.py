@@ -100,7 +100,8 @@ def test_calibrate_from_photos(photos, tmp_path, capsys):
     assert status == 0
     data = json.loads(out)
     assert data["holds"] and data["rms_px_per_axis"] < 0.1
-    assert {"calibration.yaml", "corners.csv", "report.html", ".omnilines.json"} == {path.name for path in tmp_path.iterdir()}
+    made = {"calibration.yaml", "corners.csv", "report.html", "work", ".omnilines.json"}
+    assert made == {path.name for path in tmp_path.iterdir()}
     model = camera_models.load(tmp_path / "calibration.yaml")["cam0"]
     assert abs(float(model.parameters[0]) - 170.0) < 1.0
     stored = yaml.safe_load((tmp_path / "calibration.yaml").read_text())

@@ -6,9 +6,12 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+import omnilines as ol
+from calib_patterns.checkerboard import Checkerboard
 from omnilines.files.kept import read_kept, write_kept
 
 ARRAYS = {f"array{k}": np.full((3, 4), float(k)) for k in range(6)}
@@ -53,3 +56,43 @@ def test_what_is_cut_changed_or_of_other_inputs_is_made_anew(tmp_path: Path) -> 
     for damaged in (b"", content[:20], content[:-1], content[:100] + b"x" + content[101:]):
         path.write_bytes(damaged)
         assert read_kept(path, "inputs") is None
+
+
+def board(shift: int) -> np.ndarray:
+    """A photo of a board of 5 x 4 corners."""
+    rows, columns = np.indices((240, 320))
+    squares = (rows - 40) // 32 + (columns - 50 - shift) // 32
+    dark = (squares % 2 == 0) & (rows >= 40) & (rows < 200) & (columns >= 50 + shift) & (columns < 242 + shift)
+    noise = np.random.default_rng(shift).normal(0, 2, dark.shape)
+    return np.clip(cv2.GaussianBlur(np.where(dark, 30.0, 220.0), (0, 0), 1.0) + noise, 0, 255).astype(np.uint8)
+
+
+def test_corners_that_photos_show_or_not_are_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for name, pixels in (("a", board(0)), ("b", board(9)), ("none", np.full((240, 320), 128, dtype=np.uint8))):
+        cv2.imwrite(str(photos / f"{name}.png"), pixels)
+    (photos / "cut.png").write_bytes(b"cut")
+    looked: list[int] = []
+    real = Checkerboard.detect
+
+    def counted(self: Checkerboard, *given: object, **named: object) -> object:
+        looked.append(1)
+        return real(self, *given, **named)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Checkerboard, "detect", counted)
+
+    def detect(pattern: str = "checkerboard:5x4:30mm") -> tuple[ol.PhotoCorners, int]:
+        looked.clear()
+        return ol.detect(photos, pattern, work=tmp_path / "work"), len(looked)
+
+    (first, every), (again, none) = detect(), detect()
+    assert every == 3 and none == 0 and len(first.corners.images) == 2
+    assert again.skipped == first.skipped and {view.name for view in first.skipped} == {"none.png", "cut.png"}
+    for name in ("view", "board_m", "pixels", "sigma_px", "ids"):
+        np.testing.assert_array_equal(getattr(again.corners, name), getattr(first.corners, name))
+    np.testing.assert_array_equal(again.blur_px, first.blur_px)
+    cv2.imwrite(str(photos / "b.png"), board(20))
+    assert detect()[1] == 1
+    # Another target is looked for in all of them.
+    assert detect("checkerboard:5x4:31mm")[1] == 3

@@ -7,6 +7,8 @@ import subprocess
 import sys
 import time
 
+import cv2
+import numpy as np
 import pytest
 
 from omnilines.commands.render_scene import render_scene
@@ -102,6 +104,41 @@ def dropped(*given, **named):
     time.sleep(20)
 lines.match_arcs = dropped
 """
+
+
+IN_A_PHOTO = """
+real = detect._First.__call__
+turn = __import__("itertools").count()
+def slow(*given):
+    own = next(turn)
+    os.write(2, b"begun\\n")
+    time.sleep(30 if own else 0)
+    return real(*given)
+detect._First.__call__ = slow
+"""
+
+
+@pytest.mark.slow
+def test_a_calibration_that_is_stopped_keeps_the_corners_of_its_photos(tmp_path):
+    photos, out = tmp_path / "photos", tmp_path / "result"
+    photos.mkdir()
+    for name in "abc":
+        cv2.imwrite(str(photos / f"{name}.png"), np.full((240, 320), 128, dtype=np.uint8))
+    command = ["calibrate", str(photos), "--pattern", "checkerboard:8x6:30mm", "--out", str(out)]
+    process = subprocess.Popen(
+        [sys.executable, "-c", WORKS.format(module="detect", patch=IN_A_PHOTO), *command], stderr=subprocess.PIPE
+    )
+    assert process.stderr.readline() == b"begun\n"
+    kept = out / "work" / "corners"
+    while not list(kept.glob("*.npz")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    assert process.stderr.readline() == b"begun\n"
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=20)[1].decode().replace("begun\n", "")
+    assert process.returncode == 130
+    assert said.endswith(f"omnilines: stopped; what was found is kept in {out / 'work'}, the same command goes on from there.\n")
+    assert len(list(kept.glob("*.npz"))) == 1 and not left_behind(tmp_path) and not (out / "calibration.yaml").exists()
 
 
 @pytest.mark.slow

@@ -114,10 +114,9 @@ def run(
         from omnilines.files.folders import check_results
 
         check_results(plots, ())
-    goes_on = f"; what was found is kept in {kept}, the same command goes on from there"
-    if kept is None:
-        goes_on = " before its results were whole; the same command begins anew"
-    say_when_stopped(printable(f"stopped{goes_on}."))
+    goes_on = f"stopped; what was found is kept in {kept}, the same command goes on from there."
+    anew = "stopped before its results were whole; the same command begins anew."
+    say_when_stopped(lambda: anew if kept is None or not kept.is_dir() else printable(goes_on))
     if (note := note_on_cache()) is not None:
         typer.echo(f"note: {note}", err=True)
     from omnilines.files.sets import removed_since

@@ -14,7 +14,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import NoReturn
 
@@ -32,11 +32,15 @@ class Stopped(BaseException):
         self.number = number
 
 
-_sentence = "stopped."
+def _stopped() -> str:
+    return "stopped."
 
 
-def say_when_stopped(sentence: str) -> None:
-    """What is said when the command that runs is stopped."""
+_sentence = _stopped
+
+
+def say_when_stopped(sentence: Callable[[], str]) -> None:
+    """What is said when the command that runs is stopped, asked for then."""
     global _sentence
     _sentence = sentence
 
@@ -92,5 +96,5 @@ def _end(number: int) -> NoReturn:
         # Standard error may be closed, or its terminal gone.
         with contextlib.suppress(OSError, AttributeError, ValueError):
             cursor = f"\r{SHOW_CURSOR}" if sys.stderr.isatty() else ""
-            os.write(sys.stderr.fileno(), f"{cursor}omnilines: {_sentence}\n".encode(errors="backslashreplace"))
+            os.write(sys.stderr.fileno(), f"{cursor}omnilines: {_sentence()}\n".encode(errors="backslashreplace"))
     os._exit(128 + number)

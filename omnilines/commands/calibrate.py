@@ -9,11 +9,12 @@ from calib_patterns import DetectionOptions
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos, read_corners
-from omnilines.files.folders import check_results
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.sets import claimed
 from omnilines.pages.calibration import calibration_data, calibration_summaries
 from omnilines.pipelines.calibrate import CALIBRATION_FILES, CalibrationResult
 from omnilines.pipelines.calibrate_one import calibrate
+from omnilines.pipelines.detect import detect
 from omnilines.pipelines.detect_rig import shared_frames
 from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.progress import ProgressCallback, silent
@@ -33,14 +34,17 @@ def calibrate_photos(
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Calibrate one camera from photos of a target, and write calibration, corners and report into `out`; `executor` as in
-    `detect`.
+    `detect`. Corners that were found are kept in `out/work`.
 
     Raises InputError or GeometryError with one sentence: no photo, pattern not found, too few views, all boards parallel.
     """
     options.require_of_models([options.model])
     check_results(out, NAMES, photos)
-    result = calibrate(photos, pattern_spec, options, detection=detection, executor=executor, progress=progress)
-    assert isinstance(result, CalibrationResult)
+    check_work_folder(out / WORK, photos)
+    found = detect(
+        photos, pattern_spec, mirrored=options.mirror, work=out / WORK, options=detection, executor=executor, progress=progress
+    )
+    result = calibrate(found, options=options, executor=executor, progress=progress)
     done = _written(result, out, photos, progress)
     if cameras := shared_frames(find_photos(photos)):
         one = (

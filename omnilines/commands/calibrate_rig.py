@@ -8,7 +8,7 @@ from calib_patterns import DetectionOptions
 from omnilines.commands.calibrate import PAGE, photos_beside
 from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import read_rig_corners
-from omnilines.files.folders import check_results
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.sets import claimed
 from omnilines.pages.rig_figures import rig_data, rig_summaries
 from omnilines.pipelines.calibrate import view_details
@@ -38,6 +38,7 @@ def calibrate_rig_photos(
     """
     setup.require_photos()
     check_results(out, (*RIG_FILES, PAGE), [*folders, *read])
+    check_work_folder(out / WORK, [*folders, *read])
     inside = sorted(folders[0].iterdir()) if len(folders) == 1 and folders[0].is_dir() else folders
     cameras = [path.name for path in inside if path.is_dir()] if camera is None else [camera]
     setup.require_cameras(cameras)
@@ -48,6 +49,7 @@ def calibrate_rig_photos(
         mirrored=setup.options.mirror,
         perhaps_mirrored=perhaps,
         camera=camera,
+        work=out / WORK,
         options=detection,
         executor=executor,
         progress=progress,

@@ -23,7 +23,7 @@ from omnilines.files import (
 from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.colmap_scene import COLMAP_FILES, LINES_FILE, check_colmap_folder, colmap_cameras, write_colmap_scene
 from omnilines.files.fingerprint import fingerprint, revision
-from omnilines.files.folders import check_results, check_work_folder
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.recording import rerun_module, write_recording
 from omnilines.files.sets import claimed
@@ -44,7 +44,7 @@ from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Segments
 from omnilines.report import write_report
 
-WORK, STAMP = "work", "done.json"
+STAMP = "done.json"
 PAGE, RECORDING = "report.html", "scene.rrd"
 RESULTS = (*SCENE_FILES, "lines.obj", PAGE, STAMP)
 """Of photos, always."""

@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from omnilines.commands.reconstruct import RESULTS, WORK, reconstruct_photos
+from omnilines.commands.reconstruct import RESULTS, reconstruct_photos
 from omnilines.commands.result import CommandResult
 from omnilines.commands.validate import PAGE, PHOTOS
-from omnilines.files.folders import check_results, check_work_folder
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.pages.scene_validation import scene_validation_data, scene_validation_summaries
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.render import MODEL, RenderOptions, render_scene

@@ -45,6 +45,8 @@ def check_output_folder(out: str | Path) -> None:
         ) from None
 
 
+WORK = "work"
+"""In the results of a command: the folder of what it keeps, so that it goes on where it was stopped."""
 OF_PAGE, OF_RENDER, OF_CONVERT = "page ", "render", "convert "
 """What the names of sets begin with: a page by itself, photos with their truth, files for other tools."""
 

@@ -1,6 +1,5 @@
 """Arcs of many photos and the colours beside them, for lines: `extract`."""
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -12,13 +11,11 @@ import numpy as np
 
 from camera_models import Calibration, CameraEstimate, CameraModel, InputError
 from camera_models.formats.camera_check import check_cameras
-from camera_models.formats.disk import read_bytes
 from camera_models.typed import typed
 from camera_models.wording import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, PhotoRef, Photos, of_one_range, photo_folder, photos_of
-from omnilines.files.fingerprint import revision
 from omnilines.files.folders import output_folder, work_folder
 from omnilines.files.kept import read_kept, write_kept
 from omnilines.files.masks import Mask, check_masks, looked_at, masks_note, with_masks
@@ -26,14 +23,23 @@ from omnilines.files.orientation import by_camera
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
 from omnilines.options import require_ranges
-from omnilines.pipelines.batches import look_at
+from omnilines.pipelines.kept_results import inputs_of, look_at_rest
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
-from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.progress import ProgressCallback, silent
 
 SHORT_ARCS = ExtractionOptions(min_length_px=10.0)
 """Shorter arcs than by default are used for lines: other photos confirm them or not."""
-MADE_BY = ("camera_models", "omnilines.extraction", "omnilines.geometry", "omnilines.matching", "omnilines.photo_file")
-"""Whose source decides what the arcs of a photo are, beside this module."""
+MADE_BY = (
+    "camera_models",
+    "omnilines.extraction",
+    "omnilines.geometry",
+    "omnilines.matching",
+    "omnilines.photo_file",
+    "omnilines.photo_size",
+    "omnilines.files.masks",
+    __name__,
+)
+"""Whose source decides what the arcs of a photo are."""
 BYTES_PER_PIXEL = 80
 """Of a photo being looked through, measured on one full of edges."""
 _ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
@@ -85,27 +91,17 @@ def extract(
         appearance,
     )
     kept = None if work is None else _Kept(look, output_folder(work_folder(work) / "arcs"))
-    known = [] if kept is None else on_all_cores(kept.known, items, "looking for kept arcs", progress)
-    found = {k: arcs for k, (_, arcs) in enumerate(known) if arcs is not None}
-    places = [k for k in range(len(items)) if k not in found]
-
-    def keep(k: int, fresh: FoundArcs) -> None:
-        """What a photo was found to show."""
-        if kept is not None:
-            kept.write(known[places[k]][0], fresh)
-
-    fresh = look_at(
+    found = look_at_rest(
         look,
-        [items[k] for k in places],
-        [refs[k] for k in places],
+        items,
+        refs,
         "extracting arcs",
+        kept,
         executor=executor,
         bytes_per_pixel=BYTES_PER_PIXEL,
         progress=progress,
-        keep=keep,
     )
-    found |= dict(zip(places, fresh, strict=True))
-    every = tuple(found[k] for k in range(len(items)))
+    every = tuple(found)
     require_any(every, "photos and calibration")
     return PhotoArcs(every, cameras, masks_note(refs), {"photos": photo_folder(refs), "extraction": options})
 
@@ -242,17 +238,9 @@ class _Kept:
 
     def _inputs(self, item: _Item) -> str | None:
         """A fingerprint of all that the arcs of a photo depend on; None where none are kept."""
-        if item.left_out is not None or not isinstance(item.photo, PhotoRef):
-            return None
-        try:
-            what = hashlib.sha256(read_bytes(item.photo.path))
-            mask = item.photo.mask
-            if mask is not None:
-                what.update(read_bytes(mask) if isinstance(mask, Path) else np.packbits(mask).tobytes())
-        except InputError:
+        if item.left_out is not None:
             return None
         look, model = self.look, self.look.cameras[item.camera]
         camera = (model.NAME, model.image_size, model.parameters.detach().tolist(), look.known_rad[item.camera])
         asked = (camera, look.options.stated, look.appearance, item.photo.levels)
-        what.update(f"{revision(*MADE_BY, __name__)} {asked!r}".encode())
-        return what.hexdigest()[:32]
+        return inputs_of(item.photo, repr(asked), *MADE_BY)

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import TypeAlias
+from pathlib import Path
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from omnilines.files.orientation import turned_otherwise
 from omnilines.options import require_ranges
 from omnilines.pipelines.batches import look_at
 from omnilines.pipelines.camera_search import completed, searched
+from omnilines.pipelines.kept_corners import KeptCorners, Looked
+from omnilines.pipelines.kept_results import look_at_rest
 from omnilines.pipelines.photo_corners import IN_MEMORY, PhotoCorners, blur_of_corners, corner_table
 from omnilines.pipelines.recognise import as_printed
 from omnilines.pipelines.seen_boards import other_board
@@ -27,10 +29,6 @@ from omnilines.records import ViewResult
 
 BYTES_PER_PIXEL = 40
 """Of a photo being looked through, at most."""
-
-
-_Looked: TypeAlias = tuple[Detection, str | None, tuple[int, int] | None]
-"""What one photo shows of the target, why it was skipped, and its size."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +40,7 @@ class _First:
     mirrored: bool
     options: DetectionOptions
 
-    def __call__(self, item: tuple[Photo, str | None]) -> _Looked:
+    def __call__(self, item: tuple[Photo, str | None]) -> Looked:
         photo, left_out = item
         if left_out is not None:
             return Detection.empty(), left_out, None
@@ -90,6 +88,7 @@ def detect(
     camera: CameraModel | None = None,
     mirrored: bool = False,
     recognise: bool = True,
+    work: str | Path | None = None,
     options: DetectionOptions = DetectionOptions(),
     executor: Executor | None = None,
     progress: ProgressCallback = silent,
@@ -100,8 +99,9 @@ def detect(
     mapping of names to arrays; `pattern` may be its specification. A `camera` that is known leads to corners, and photos, that
     are hard to find. `mirrored`: the camera looks into a mirror. `recognise`: a board with tags that a few photos show in
     another print than the one given (white on black, in the layout of OpenCV before 4.6, with other tags of its dictionary) is
-    taken for what it is. A photo that cannot be read, is of another size or EXIF orientation than most, or shows no target is
-    skipped with its reason.
+    taken for what it is. What is found is kept in the folder `work`, where one is given, and read from there by another run
+    that would find the same. A photo that cannot be read, is of another size or EXIF orientation than most, or shows no target
+    is skipped with its reason.
 
     Raises InputError when there is no photo, the specification is malformed, no photo shows the target, or the camera is of
     another image size.
@@ -119,11 +119,14 @@ def detect(
         target, otherwise = as_printed(target, found_photos, any_tags=True, mirrored=mirrored, options=options, progress=progress)
 
     turned = turned_otherwise(found_photos)
-    found = look_at(
+    known = None if camera is None else (camera.NAME, camera.image_size, camera.parameters.detach().tolist())
+    asked = (target.specification, known, mirrored, options.stated)
+    found = look_at_rest(
         _First(target, camera, mirrored, options),
         [(photo, turned.get(photo.name)) for photo in found_photos],
         found_photos,
         "detecting corners",
+        None if work is None else KeptCorners.within(work, asked),
         executor=executor,
         bytes_per_pixel=BYTES_PER_PIXEL,
         progress=progress,
@@ -166,7 +169,7 @@ def _require_size(camera: CameraModel, size: tuple[int, int]) -> None:
 
 
 def _of_size(
-    photos: Sequence[Photo], found: Sequence[_Looked], size: tuple[int, int]
+    photos: Sequence[Photo], found: Sequence[Looked], size: tuple[int, int]
 ) -> tuple[list[tuple[Photo, Detection]], list[ViewResult]]:
     """The photos of a size that show the target, and why each of the others is skipped."""
     kept, skipped = list[tuple[Photo, Detection]](), list[ViewResult]()
@@ -181,7 +184,7 @@ def _of_size(
     return kept, skipped
 
 
-def _common_size(found: Sequence[_Looked], pattern: Pattern, other: str | None) -> tuple[int, int]:
+def _common_size(found: Sequence[Looked], pattern: Pattern, other: str | None) -> tuple[int, int]:
     """That of most photos with corners. Raises InputError where none has any, with what they show instead."""
     sizes = Counter(size for detection, _, size in found if size is not None and len(detection))
     if not sizes:

@@ -1,7 +1,7 @@
 """Photos of a target by several cameras -> its corners in each: from a folder for each camera, or from a table."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -67,6 +67,7 @@ def detect_rig(
     mirrored: bool = False,
     perhaps_mirrored: Sequence[str] | None = None,
     camera: str | None = None,
+    work: str | Path | None = None,
     options: DetectionOptions = DetectionOptions(),
     executor: Executor | None = None,
     progress: ProgressCallback = silent,
@@ -77,7 +78,7 @@ def detect_rig(
     camera as `detect` takes them; those of the same name are of the same instant. With `camera` all are of one camera of that
     name, which sees several targets that are fixed to one another, such as the faces of a cube. Where no tag is read in the
     photos of a camera among `perhaps_mirrored` (by default of any), they are read as mirror images; with `mirrored` all are.
-    `executor` as in `detect`.
+    `work` and `executor` as in `detect`.
     Raises InputError where no camera sees a target.
 
         >>> found = ol.detect_rig("rig/", "checkerboard:8x6:30mm")
@@ -102,7 +103,10 @@ def detect_rig(
         perhaps = perhaps_mirrored is None or name in perhaps_mirrored
         for board in boards:
             try:
-                looked = _look(own, board, perhaps, mirrored=mirrored, options=options, executor=executor, progress=progress)
+                look = partial(
+                    detect, own, board, recognise=False, work=work, options=options, executor=executor, progress=progress
+                )
+                looked = _look(look, board, perhaps, mirrored=mirrored)
                 found.append(CameraCorners(name, looked))
                 notes += [f"Camera {name}: {looked.other}"] if looked.other and not several else []
             except InputError as error:
@@ -171,17 +175,7 @@ def corners_of_cameras(
     return RigCorners(corners, sizes, skipped=skipped, cameras=tuple(found), times_s=times_s)
 
 
-def _look(
-    photos: Sequence[Photo],
-    pattern: Pattern,
-    perhaps_mirrored: bool,
-    *,
-    mirrored: bool,
-    options: DetectionOptions,
-    executor: Executor | None,
-    progress: ProgressCallback,
-) -> PhotoCorners:
-    look = partial(detect, photos, pattern, recognise=False, options=options, executor=executor, progress=progress)
+def _look(look: Callable[..., PhotoCorners], pattern: Pattern, perhaps_mirrored: bool, *, mirrored: bool) -> PhotoCorners:
     try:
         return look(mirrored=mirrored)
     except InputError:
