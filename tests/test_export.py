@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from PIL import Image
 from pylimap_scenes import PEERS
 
 import omnilines as ol
@@ -206,6 +207,19 @@ def test_what_nerfstudio_does_not_hold_is_fitted_and_said(tmp_path: Path) -> Non
     folder = scene(tmp_path / "scene", Calibration({"cam0": POLYNOMIAL}))
     _, lost = ol.export(folder, tmp_path / "transforms.json").save()
     assert any("cam0 (scaramuzza) fitted by" in one and "px RMS" in one for one in lost)
+
+
+def test_photos_turned_by_their_exif_are_named(folder: Path, tmp_path: Path) -> None:
+    """Trainers read photos as they stand in their files, and the cameras here are those of the upright ones."""
+    photos, exif = tmp_path / "photos", Image.Exif()
+    (photos / "in").mkdir(parents=True)
+    for k, orientation in enumerate((1, 3, 3)):
+        exif[0x0112] = orientation
+        Image.new("L", (8, 6)).save(photos / "in" / f"{k}.png", exif=exif)
+    _, lost = ol.export(folder, tmp_path / "transforms.json", photos=photos).save()
+    assert lost[-1].startswith("2 of 3 photos, such as in/1.png, are used as their EXIF orientation turns them, and COLMAP, Nerf")
+    _, lost = ol.export(folder, tmp_path / "transforms.json").save()
+    assert not any("EXIF" in one for one in lost)
 
 
 def test_limap_files_hold_lines_segments_and_photos(folder: Path, tmp_path: Path) -> None:

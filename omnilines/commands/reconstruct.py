@@ -25,6 +25,7 @@ from omnilines.files.colmap_scene import COLMAP_FILES, LINES_FILE, check_colmap_
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.masks import mask_files, with_masks
+from omnilines.files.orientation import turned_note
 from omnilines.files.recording import rerun_module, write_recording
 from omnilines.files.sets import claimed
 from omnilines.pages.scene import scene_data, scene_sections, scene_summary
@@ -132,6 +133,8 @@ def reconstruct_photos(
     )  # fmt: skip
     with claimed(folder, names - {STAMP}, read, by=SCENE):
         result = _written(folder, scene, colmap, recording, progress)
+    if colmap or Path(poses).is_dir():
+        result = replace(result, warnings=(*result.warnings, *turned_note(refs)))
     if result.holds:
         stamp.write(result)
     return result

@@ -27,7 +27,7 @@ _TURNS = {
 def turned_otherwise(photos: Sequence[Photo]) -> dict[str, str]:
     """Of photos of one camera, by name, those that are turned otherwise than most, each with a reason; where as many are turned
     one way as the other, those that are turned."""
-    orientation = {photo.name: orientation_of_file(photo.path) if isinstance(photo, PhotoRef) else 1 for photo in photos}
+    orientation = _orientations(photos)
     counts = Counter(orientation.values())
     usual = min(counts, key=lambda value: (-counts[value], value), default=1)
     return {name: _reason(value, usual) for name, value in orientation.items() if value != usual}
@@ -40,6 +40,22 @@ def by_camera(photos: Sequence[Photo], camera_of: Mapping[str, str]) -> dict[str
         for camera in dict.fromkeys(camera_of.values())
         for name, reason in turned_otherwise([photo for photo in photos if camera_of[photo.name] == camera]).items()
     }
+
+
+def turned_note(photos: Sequence[Photo]) -> tuple[str, ...]:
+    """That photos are used as their orientation turns them, for models that are shared with tools that do not turn them."""
+    turned = [name for name, value in _orientations(photos).items() if value != 1]
+    if not turned:
+        return ()
+    return (
+        f"{len(turned)} of {len(photos)} photos, such as {turned[0]}, are used as their EXIF orientation turns them, and COLMAP, "
+        "Nerfstudio and trainers take them unturned: cameras and poses agree there for photos alone that are saved upright.",
+    )
+
+
+def _orientations(photos: Sequence[Photo]) -> dict[str, int]:
+    """By name; of photos in memory there is none, which is 1."""
+    return {photo.name: orientation_of_file(photo.path) if isinstance(photo, PhotoRef) else 1 for photo in photos}
 
 
 def _reason(value: int, usual: int) -> str:

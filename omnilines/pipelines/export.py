@@ -14,7 +14,8 @@ from omnilines.files.geojson import write_geojson
 from omnilines.files.glb import write_glb
 from omnilines.files.limap import LIMAP_FILES, write_limap
 from omnilines.files.nerfstudio_scene import write_nerfstudio
-from omnilines.files.photos import require_photos
+from omnilines.files.orientation import turned_note
+from omnilines.files.photos import PhotoRef, require_photos
 from omnilines.files.scene_folder import SCENE_TABLES, SceneTables, read_scene
 from omnilines.files.sets import claimed
 from omnilines.geometry.geodetic import Origin
@@ -71,12 +72,15 @@ class SceneExport:
         """Write the file or folder; the files, and what is lost or fitted. Raises InputError where the format does not hold the
         scene, or a file cannot be written."""
         out = Path(os.path.realpath(self.out)) if self.out.is_dir() else self.out
+        turned = (
+            () if self.photos is None else turned_note([PhotoRef(self.photos / name, name) for name in self.scene.poses.images])
+        )
         beside = (self.photos,) if self.writer.takes_photos else (self.origin,) if self.writer.takes_origin else ()
         if self.writer.parts is not None:
             parts = self.writer.parts(self.scene)
             with claimed(out, parts, self.read, by=f"export {self.writer.name}") as folder:
                 lost = self.writer.write(folder, self.scene, *beside)
-            return tuple(out / name for name in parts if (out / name).is_file()), lost
+            return tuple(out / name for name in parts if (out / name).is_file()), (*lost, *turned)
         if self.out.is_dir():
             raise InputError(f"A file was expected for {self.writer.title}, found the folder {self.out}; name a file in it.")
         if not self.out.suffix:
@@ -86,7 +90,7 @@ class SceneExport:
             )
         with claimed(out.parent, [out.name], self.read, by=f"export {out.name}"):
             lost = self.writer.write(out, self.scene, *beside)
-        return (out,), lost
+        return (out,), (*lost, *turned)
 
 
 @typed
