@@ -57,6 +57,22 @@ def test_parquet_gives_what_csv_gives(tmp_path: Path) -> None:
         np.testing.assert_array_equal(getattr(from_csv, name), getattr(from_parquet, name))
 
 
+def test_parquet_columns_of_other_tools_are_texts_and_empty_cells(tmp_path: Path) -> None:
+    """Texts as views, and columns in which nothing stands, which have no type then: segments before they are matched."""
+    pyarrow, parquet = (pytest.importorskip(name, reason=ABSENT) for name in ("pyarrow", "pyarrow.parquet"))
+    given = segments()
+    names = pyarrow.array([given.images[k] for k in given.image], pyarrow.string_view())
+    ends = dict(zip(("u1_px", "v1_px", "u2_px", "v2_px"), given.endpoints_px.reshape(-1, 4).T, strict=True))
+    nothing = pyarrow.nulls(len(given.image))
+    table = pyarrow.table({"image": names, "track": nothing, **ends, "sigma_px": nothing})
+    parquet.write_table(table, tmp_path / "segments.parquet")
+    found = read_segments(tmp_path / "segments.parquet")
+    assert found.images == given.images and found.tracks == () and found.sigma_px is None and (found.track == -1).all()
+    parquet.write_table(table.set_column(2, "u1_px", nothing), tmp_path / "segments.parquet")
+    with pytest.raises(InputError, match="row 1, column u1_px: expected a finite number, found"):
+        read_segments(tmp_path / "segments.parquet")
+
+
 def test_lines_in_parquet_are_those_in_csv(tmp_path: Path) -> None:
     pyarrow, parquet = (pytest.importorskip(name, reason=ABSENT) for name in ("pyarrow.csv", "pyarrow.parquet"))
     ends = np.random.default_rng(0).normal(size=(3, 2, 3))

@@ -136,11 +136,12 @@ class _Column:
 
         kind = part.type.value_type if types.is_dictionary(part.type) else part.type
         here = slice(low, low + len(part))
-        if types.is_integer(kind) or types.is_floating(kind):
+        # A column without any value may come as one of no type.
+        if types.is_integer(kind) or types.is_floating(kind) or types.is_null(kind):
             if self.values is None:
                 self.values = np.empty(self.count)
             self.values[here] = part.cast("float64", safe=False).to_numpy()
-        elif types.is_string(kind) or types.is_large_string(kind):
+        elif any(is_text(kind) for is_text in (types.is_string, types.is_large_string, types.is_string_view)):
             if self.index is None:
                 self.index = np.empty(self.count, dtype=np.int64)
             encoded = part.cast("string").combine_chunks().dictionary_encode()
