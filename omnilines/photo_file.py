@@ -15,12 +15,17 @@ from camera_models.formats.disk import read_bytes
 from camera_models.typed import typed
 from omnilines.machine import available_bytes
 from omnilines.photo_size import (
+    MOST_TAG_BYTES,
     in_planes,
     is_tiff,
+    is_webp,
     may_be_transparent,
+    orientation_at_end,
+    orientation_may_follow,
     orientation_of_photo,
+    place_of_tags,
     size_of_photo,
-    tags_may_follow,
+    with_tags_before,
 )
 
 MOST_PIXELS = 1 << 29
@@ -28,6 +33,8 @@ MOST_PIXELS = 1 << 29
 
 _HEADER_BYTES = 1 << 18
 """Of a photo, that mostly hold all before its pixels."""
+_TAIL_BYTES = 1 << 16
+"""Of a PNG, in which an orientation behind the pixels stands."""
 LONGEST_JPEG_PX = 65_500
 """A side of what libjpeg writes."""
 
@@ -65,17 +72,24 @@ def opaque_pixels(path: str | Path) -> Bool[np.ndarray, "h w"] | None:
 
 
 def start_of_photo(path: Path) -> bytes:
-    """What stands before the pixels of a photo; all of a TIFF, whose tags may stand behind them."""
+    """What stands before the pixels of a photo; of a TIFF its tags, which may stand behind them."""
     start = read_bytes(path, _HEADER_BYTES)
-    return read_bytes(path) if is_tiff(start) else start
+    place = place_of_tags(start)
+    if place is None or place + MOST_TAG_BYTES <= len(start):
+        return start
+    return with_tags_before(start, read_bytes(path, MOST_TAG_BYTES, place))
 
 
 def orientation_of_file(path: Path) -> int:
     """1 to 8 as in Exif 2.3; 1 where none is stated, or the file cannot be read."""
     try:
-        start = read_bytes(path, _HEADER_BYTES)
-        return orientation_of_photo(read_bytes(path) if tags_may_follow(start) else start)
-    except InputError:
+        start = start_of_photo(path)
+        if is_webp(start):
+            return orientation_of_photo(read_bytes(path))
+        if orientation_may_follow(start):
+            return orientation_at_end(read_bytes(path, _TAIL_BYTES, max(0, path.stat().st_size - _TAIL_BYTES)))
+        return orientation_of_photo(start)
+    except (InputError, OSError):
         return 1
 
 

@@ -3,6 +3,7 @@ gigabytes of pixels, whether it may have 16 bits a channel, whether it may be tr
 
 import re
 import struct
+import zlib
 from collections.abc import Iterator
 
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -17,6 +18,8 @@ MOST_SEGMENTS = 100_000
 """Of a JPEG before its frame."""
 MOST_ENTRIES = 1000
 """Of a directory of tags."""
+MOST_TAG_BYTES = 8 + 20 * MOST_ENTRIES
+"""Of such a directory."""
 
 
 def size_of_photo(data: bytes) -> tuple[int, int] | None:
@@ -78,9 +81,38 @@ def is_tiff(data: bytes) -> bool:
     return data[:4] in _TIFF + _BIG_TIFF
 
 
-def tags_may_follow(data: bytes) -> bool:
-    """Whether the first bytes are those of a file whose orientation may stand behind its pixels."""
-    return is_tiff(data) or data.startswith(_PNG) or data[:4] == b"RIFF"
+def is_webp(data: bytes) -> bool:
+    """Whether the first bytes are those of a WebP, whose orientation stands behind its pixels."""
+    return data[:4] == b"RIFF" and data[8:12] == b"WEBP"
+
+
+def place_of_tags(data: bytes) -> int | None:
+    """Where in a TIFF its tags stand, by its first bytes; None of other files and of those cut short."""
+    try:
+        return _place_of_tags(data)[0] if is_tiff(data) else None
+    except struct.error:
+        return None
+
+
+def with_tags_before(data: bytes, tags: bytes) -> bytes:
+    """The head of a TIFF with the bytes that stand where its tags do right behind."""
+    order, big = "<" if data.startswith(b"II") else ">", data[:4] in _BIG_TIFF
+    return data[:8] + struct.pack(f"{order}Q", 16) + tags if big else data[:4] + struct.pack(f"{order}I", 8) + tags
+
+
+def orientation_may_follow(data: bytes) -> bool:
+    """Whether the first bytes are those of a PNG whose orientation may stand at its end: none stands in them."""
+    return data.startswith(_PNG) and not list(_tiffs(data))
+
+
+def orientation_at_end(data: bytes) -> int:
+    """As `orientation_of_photo`, of a PNG by its last bytes."""
+    at = data.rfind(b"eXIf")
+    length = int.from_bytes(data[at - 4 : at], "big") if at >= 4 else 0
+    chunk = data[at : at + 4 + length]
+    if not length or data[at + 4 + length : at + 8 + length] != zlib.crc32(chunk).to_bytes(4, "big"):
+        return 1
+    return orientation_of_photo(chunk[4:])
 
 
 def orientation_of_photo(data: bytes) -> int:
@@ -102,8 +134,7 @@ def tiff_tags(data: bytes) -> dict[int, int]:
 
 def _tags(tiff: bytes) -> dict[int, int]:
     """Those of the first directory; raises struct.error where it is cut short."""
-    order, big = "<" if tiff.startswith(b"II") else ">", tiff[:4] in _BIG_TIFF
-    (place,) = struct.unpack_from(order + ("Q" if big else "I"), tiff, 8 if big else 4)
+    place, order, big = _place_of_tags(tiff)
     (entries,) = struct.unpack_from(order + ("Q" if big else "H"), tiff, place)
     place, entry = place + (8 if big else 2), 20 if big else 12
     found: dict[int, int] = {}
@@ -114,6 +145,13 @@ def _tags(tiff: bytes) -> dict[int, int]:
             (found[tag],) = struct.unpack_from(order + form, tiff, place + (12 if big else 8))
         place += entry
     return found
+
+
+def _place_of_tags(tiff: bytes) -> tuple[int, str, bool]:
+    """Where the first directory begins, the order of bytes, and whether it is a BigTIFF."""
+    order, big = "<" if tiff.startswith(b"II") else ">", tiff[:4] in _BIG_TIFF
+    (place,) = struct.unpack_from(order + ("Q" if big else "I"), tiff, 8 if big else 4)
+    return place, order, big
 
 
 def _tiffs(data: bytes) -> Iterator[bytes]:
@@ -136,7 +174,7 @@ def _tiffs(data: bytes) -> Iterator[bytes]:
             if data[at + 4 : at + 8] == b"eXIf":
                 yield from _exif(data[at + 8 : at + 8 + length])
             at += 12 + length
-    elif data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+    elif is_webp(data):
         at = 12
         while at + 8 <= len(data):
             (length,) = struct.unpack_from("<I", data, at + 4)

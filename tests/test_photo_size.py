@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from camera_models import InputError
+from camera_models.formats.disk import read_bytes
 from omnilines import photo_file
 from omnilines.files import PHOTO_SUFFIXES, read_photo
-from omnilines.photo_size import may_have_16_bits, size_of_photo
+from omnilines.photo_size import may_be_transparent, may_have_16_bits, size_of_photo
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (37, 53, 3), dtype=np.uint8)
 
@@ -51,6 +52,35 @@ ENCODED = {
 @pytest.mark.parametrize("kind", ENCODED)
 def test_the_header_says_the_size(kind: str) -> None:
     assert size_of_photo(ENCODED[kind]) == (53, 37)
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("order", "<>")
+def test_the_tags_of_a_large_tiff_are_read_where_they_stand(
+    order: str, big: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not with all the pixels before them."""
+    place = 3_000_000
+    tags = ((256, 4, 53), (257, 4, 37), (262, 3, 2), (274, 3, 6), (277, 3, 4), (338, 3, 2))
+    mark = {"<": b"II", ">": b"MM"}[order] + struct.pack(f"{order}H", 43 if big else 42)
+    entries = b"".join(
+        struct.pack(f"{order}HH{'Q' if big else 'I'}", tag, kind, 1)
+        + struct.pack(f"{order}{'H' if kind == 3 else 'I'}", value).ljust(8 if big else 4, b"\0")
+        for tag, kind, value in tags
+    )
+    head = mark + (struct.pack(f"{order}HHQ", 8, 0, place) if big else struct.pack(f"{order}I", place))
+    path = tmp_path / "large.tif"
+    path.write_bytes(head.ljust(place, b"\0") + struct.pack(f"{order}{'Q' if big else 'H'}", len(tags)) + entries)
+    read: list[int] = []
+
+    def counted(path: Path, most: int | None = None, start: int = 0) -> bytes:
+        read.append(place if most is None else most)
+        return read_bytes(path, most, start)
+
+    monkeypatch.setattr(photo_file, "read_bytes", counted)
+    start = photo_file.start_of_photo(path)
+    assert size_of_photo(start) == (53, 37) and may_be_transparent(start)
+    assert photo_file.orientation_of_file(path) == 6 and sum(read) < place / 2
 
 
 @pytest.mark.parametrize("suffix", PHOTO_SUFFIXES)

@@ -131,8 +131,8 @@ def _kind(mode: int) -> str:
     return kinds.get(stat.S_IFMT(mode), "a device")
 
 
-def read_bytes(path: str | Path, most: int | None = None) -> bytes:
-    """The content of a file, or its first `most` bytes.
+def read_bytes(path: str | Path, most: int | None = None, start: int = 0) -> bytes:
+    """The content of a file, or `most` bytes of it, from the byte `start` on.
 
     Raises InputError where it is not there, is a folder, a pipe or a device, cannot be read, or is larger than memory.
     """
@@ -151,6 +151,8 @@ def read_bytes(path: str | Path, most: int | None = None) -> bytes:
                 raise InputError(
                     f"{file} was expected to hold at most {MOST_BYTES / 1e9:.0f} GB, found {about.st_size / 1e9:.0f}."
                 )
+            if start:
+                stream.seek(min(start, MOST_BYTES))
             content = stream.read() if most is None else stream.read(most)
             if content is None:  # a file of the kernel that would have to be waited for
                 raise InputError(
