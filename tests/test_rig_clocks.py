@@ -24,6 +24,7 @@ from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.path import Path as BoardPath
 from omnilines.calibration.rig.path import ViewTimes, moved_run, path_derivatives, pose_along
 from omnilines.calibration.rig.result import RigCalibration
+from omnilines.calibration.rig.runs import find_runs, usual_gap_s
 from omnilines.calibration.rig.start import ViewNumberings, numberings_of, posed_views
 from omnilines.calibration.rig.views import RigViews, views_of
 from omnilines.calibration.thresholds import CalibrationThresholds
@@ -210,6 +211,33 @@ def test_parameters_that_a_camera_alone_contradicts_are_named(monkeypatch: pytes
         found = against_alone(moved, torch.as_tensor(result.covariance))
         assert list(found.sigmas) == (["cam0"] if named else [])
         assert any("Camera cam0: its parameters in the rig differ by" in note for note in found.notes) == named
+
+
+@pytest.mark.parametrize("coarse_s", [1.0, 1000.0])
+def test_frames_of_one_time_are_in_no_run(coarse_s: float) -> None:
+    """Times that are unknown, or coarser than frames are apart, ended in a traceback."""
+    corners = seen_freely(HandMotion(3), (0.0, OFFSET_S), runs=4)
+    assert corners.times_s is not None
+    for times_s, gap_s in ((corners.times_s, 1 / 30), (np.floor(corners.times_s / coarse_s) * coarse_s, None)):
+        views = RigViews.of(replace(corners, times_s=times_s), ("cam0", "cam1"), "fixed")
+        every = np.ones(len(views.camera), dtype=bool)
+        runs = find_runs(views, (0, 1), every, np.zeros(3), CalibrationThresholds().clocks)
+        assert (runs is None) == (gap_s is None)
+        assert runs is None or runs.gap_s == pytest.approx(gap_s)
+    assert usual_gap_s(views) == (2.0 if coarse_s == 1.0 else 0.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [0.0, 1e9])
+def test_times_that_tell_nothing_are_answered_with_what_they_say(unit: float) -> None:
+    """All of one time, or in nanoseconds."""
+    corners = noisy(seen_freely(HandMotion(3), (0.0, OFFSET_S), runs=3), NOISE_PX, 1)
+    assert corners.times_s is not None
+    given = replace(corners, times_s=unit * corners.times_s)
+    result = calibrate_rig(given, SETUPS, time_offsets=True)
+    assert len(result.members) == 2 and result.members[1].time_offset_s is None
+    said = "come 0 s after" if unit == 0 else "come 3.3e+07 s after"
+    assert any(said in note and "give times in seconds" in note for note in result.notes)
 
 
 def test_what_has_no_times_is_refused() -> None:

@@ -13,11 +13,12 @@ from jaxtyping import Bool, Float
 from scipy.stats import chi2
 from torch import Tensor
 
+from camera_models.wording import rounded
 from omnilines.calibration.rig.fewer import state_of, without_members
 from omnilines.calibration.rig.followed import followed_fit
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
-from omnilines.calibration.rig.runs import Runs, find_runs
+from omnilines.calibration.rig.runs import Runs, find_runs, usual_gap_s
 from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.least_squares import Outcome, solve
 
@@ -112,8 +113,9 @@ def _no_runs(outcome: RigOutcome) -> str:
     limits = outcome.thresholds.clocks
     return (
         f"No time offset is told: runs of {limits.frames_of_run} consecutive frames in which the board is seen, at most "
-        f"{limits.longest_gap_s:g} s apart, were expected, found none; give videos of a higher frame rate, or with the board in "
-        "view longer."
+        f"{limits.longest_gap_s:g} s apart, were expected, found none: by their times frames come "
+        f"{rounded(usual_gap_s(outcome.data.views))} s after one another in the median; give times in seconds, videos of a "
+        "higher frame rate, or with the board in view longer."
     )
 
 

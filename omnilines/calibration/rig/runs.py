@@ -100,6 +100,14 @@ def find_runs(
     )
 
 
+def usual_gap_s(views: RigViews) -> float:
+    """Median time from a frame of a camera to the next one with another time; 0 where all are of one time."""
+    time_s = views.corners.times_s
+    assert time_s is not None
+    gaps = np.concatenate([np.diff(np.unique(time_s[views.camera == c])) for c in np.unique(views.camera)])
+    return float(np.median(gaps)) if len(gaps) else 0.0
+
+
 def _put_together(
     views: RigViews, members: tuple[int, ...], time_s: Float[np.ndarray, " a"]
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " f"]] | None:
@@ -128,9 +136,10 @@ def _put_together(
 def _pieces(instant_s: Float[np.ndarray, " n"], limits: ClockThresholds) -> list[np.ndarray]:
     """Consecutive instants, cut into as many as a run has."""
     gaps = np.diff(instant_s)
-    near = gaps[gaps <= limits.longest_gap_s]
+    # Frames of one time do not follow one another: times may be unknown, or coarser than frames are apart.
+    near = gaps[(gaps > 0) & (gaps <= limits.longest_gap_s)]
     # Where one frame is missing, the motion is not followed.
-    apart = gaps > min(limits.longest_gap_s, 1.5 * float(np.median(near)) if len(near) else 0.0)
+    apart = (gaps <= 0) | (gaps > min(limits.longest_gap_s, 1.5 * float(np.median(near)) if len(near) else 0.0))
     size, found = limits.frames_of_run, []
     for row in np.split(np.arange(len(instant_s)), np.flatnonzero(apart) + 1):
         found += [row[low : low + size] for low in range(0, len(row) - size + 1, size)]
