@@ -152,7 +152,7 @@ def require_ranges(options: Any) -> None:
     usual = {name: value for name, value, _ in walk(type(options)())}
     for name, value, _ in walk(options):
         numbers, defaults = ((one if isinstance(one, tuple) else (one,)) for one in (value, usual[name]))
-        if not all(isinstance(one, int | float) and not isinstance(one, bool) for one in defaults):
+        if not defaults or not all(isinstance(one, int | float) and not isinstance(one, bool) for one in defaults):
             continue
         for number in numbers:
             if number not in defaults:

@@ -19,7 +19,7 @@ from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import CalibrationThresholds, NoiseThresholds, StartThresholds, ViewThresholds
 from omnilines.footage.options import FrameOptions
-from omnilines.options import walk, with_settings
+from omnilines.options import require_ranges, walk, with_settings
 from omnilines.synthetic.lines import circle_world
 
 SIZE = (1280, 960)
@@ -106,6 +106,10 @@ def test_options_made_in_python_have_the_ranges_of_those_set_by_name(options: Ca
     several = replace(corners, cameras=("cam0",) * count, frames=corners.view_names)
     with pytest.raises(InputError, match=said):
         ol.calibrate_rig(several, SIZE, options)
+
+
+def test_names_have_no_range() -> None:
+    require_ranges(CalibrationOptions(refine_board=("surface",), model="pinhole", degree=None, coefficients=8))
 
 
 def test_options_of_detection_have_ranges_too() -> None:
