@@ -120,6 +120,20 @@ def test_the_same_photos_under_two_names_of_cameras_are_refused() -> None:
         calibrated(rig, with_views(table, [(v, "copy", table.frames[v]) for v in own[2:]], 0.03))
 
 
+def test_a_corner_twice_in_a_view_is_refused_in_a_rig_too() -> None:
+    """It was refused of one camera, and of a rig from a file, but counted twice in a table made in Python."""
+    rig = pair(4)
+    table = rig.noisy(NOISE_PX, 0)
+    again = replace(
+        table,
+        view=np.append(table.view, table.view[7]),
+        board_m=np.concatenate([table.board_m, table.board_m[7:8]]),
+        pixels=np.concatenate([table.pixels, table.pixels[7:8] + 1.0]),
+    )
+    with pytest.raises(InputError, match=rf"once in a view, found one of view {table.view_names[0]} again in row {len(table)}"):
+        calibrated(rig, again)
+
+
 @pytest.mark.slow
 def test_copies_within_a_camera_do_not_count_twice() -> None:
     """Instants saved twice made the standard deviations of a rig smaller by the root of two."""

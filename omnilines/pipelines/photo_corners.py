@@ -57,14 +57,7 @@ class PhotoCorners:
     ) -> "PhotoCorners":
         """Corners of a table; `source` is named in errors and in the provenance. Raises InputError where a corner lies outside
         the image, or a view has one of the board twice."""
-        rows = np.column_stack([corners.view, corners.board_m])
-        _, first = np.unique(rows, axis=0, return_index=True)
-        if len(first) < len(corners):
-            row = int(np.setdiff1d(np.arange(len(corners)), first)[0])
-            raise InputError(
-                f"{source}: each corner of the board was expected once in a view, found one of view "
-                f"{corners.view_names[corners.view[row]]} again in row {row}; remove one of the two."
-            )
+        require_once(corners, source)
         outside = ((corners.pixels < -0.5) | (corners.pixels > np.array(image_size) - 0.5)).any(-1)
         if outside.any():
             row = int(np.flatnonzero(outside)[0])
@@ -135,6 +128,18 @@ class PhotoCorners:
         with claimed(folder, [CORNERS], by="detect") as out:
             write_corners(out / CORNERS, self.corners)
         return (out / CORNERS,)
+
+
+def require_once(corners: Corners, source: str | Path) -> None:
+    """Raises InputError where a view has a corner of the board twice; `source` is named."""
+    rows = np.column_stack([corners.view, corners.board_m])
+    _, first = np.unique(rows, axis=0, return_index=True)
+    if len(first) < len(corners):
+        row = int(np.setdiff1d(np.arange(len(corners)), first)[0])
+        raise InputError(
+            f"{source}: each corner of the board was expected once in a view, found one of view "
+            f"{corners.view_names[corners.view[row]]} again in row {row}; remove one of the two."
+        )
 
 
 def counts_remark(pattern: Pattern, corners: Corners) -> str | None:

@@ -16,7 +16,7 @@ from camera_models.wording import listed
 from omnilines.calibration.numbering import Numbering
 from omnilines.files import write_corners
 from omnilines.files.sets import claimed
-from omnilines.pipelines.photo_corners import CORNERS, IN_MEMORY, PhotoCorners
+from omnilines.pipelines.photo_corners import CORNERS, IN_MEMORY, PhotoCorners, require_once
 from omnilines.records import Corners, ViewResult
 
 SHOWN_NAMES = 5
@@ -73,7 +73,8 @@ class RigCorners:
         provenance.
 
         Without frames the instant is the view, where two cameras have views of one name, and else the name of the photo as in
-        folders. Raises InputError where the table names no cameras, a size is missing or a corner lies outside the image.
+        folders. Raises InputError where the table names no cameras, a size is missing, a view has a corner twice or a corner lies
+        outside the image.
         """
         cameras = corners.cameras or ()
         if not cameras:
@@ -87,6 +88,7 @@ class RigCorners:
                 f"`image_size` was expected for every camera of {source}, found none for '{missing[0]}'; give one for all, or "
                 f"{missing[0]}=WIDTHxHEIGHT."
             )
+        require_once(corners, source)
         _require_inside(corners, cameras, found, source)
         frames = corners.frames or _frames(corners, cameras)
         return RigCorners(replace(corners, frames=frames), found, photo_folder=photo_folder, inputs={"corners": source})
