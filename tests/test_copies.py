@@ -12,7 +12,8 @@ from camera_models.pose import Pose
 from omnilines.pages.limits import unused_advice
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.chains import chains_of
-from omnilines.pipelines.copies import copies
+from omnilines.pipelines.copies import copied_segments, copies
+from omnilines.records import Segments
 
 LENS = OpenCVFisheye([105.0, 105.0, 199.5, 199.5, 0.0, 0.0, 0.0, 0.0], (400, 400))
 
@@ -31,6 +32,20 @@ def test_copies_are_those_of_the_same_pixels() -> None:
 
 
 @pytest.mark.full
+def test_a_photo_twice_in_a_table_of_segments_is_named() -> None:
+    rng = np.random.default_rng(0)
+    image, track = np.repeat(np.arange(3), 4), np.tile([0, 1, 2, -1], 3)
+    ends = rng.uniform(0.0, 500.0, (12, 2, 2))
+    # The same rows in another order; what belongs to no line does not count.
+    ends[8:11], track[8:11] = ends[[2, 0, 1]], [2, 0, 1]
+    segments = Segments(image, ("a", "b", "c", "d"), track, ("x", "y", "z"), ends)
+    (told,) = copied_segments(segments)
+    assert told.startswith("c has exactly the segments of another photo")
+    ends[8] += 1e-9
+    assert copied_segments(replace(segments, endpoints_px=ends)) == ()
+    assert copied_segments(segments.rows(np.zeros(0, dtype=np.int64))) == ()
+
+
 def test_a_copy_confirms_no_line(room: tuple[dict[str, np.ndarray], ol.ImagePoses]) -> None:
     """Whether its pose is known too or not, and whichever of both is named first."""
     photos, poses = room

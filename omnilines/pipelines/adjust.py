@@ -28,6 +28,7 @@ from omnilines.pipelines.calibration_errors import (
     lines_with_calibration_errors,
     poses_with_calibration_errors,
 )
+from omnilines.pipelines.copies import copied_segments
 from omnilines.pipelines.far_photos import far_photos
 from omnilines.pipelines.frame_notes import frame_notes, unplaced_notes
 from omnilines.pipelines.inside import require_inside
@@ -93,7 +94,8 @@ def adjust(
     points = poses.points if isinstance(poses, PhotoPoses) else {}
     supposed = supposed_errors(scene.lines, *_fitting(scene), scene.poses, cameras, options, points, prior=known)
     scene = _with_calibration_errors(scene, points, cameras, options, known)
-    told = (*scene.table.left_out, *(() if misfit is None else misfit.notes), *unfollowed_errors(cameras, options, supposed))
+    told = (*scene.table.left_out, *copied_segments(segments), *(() if misfit is None else misfit.notes))
+    told += unfollowed_errors(cameras, options, supposed)
     unit, up = (poses.unit, poses.up) if isinstance(poses, PhotoPoses) else (LengthUnit.METRES, None)
     scene = replace(scene, lines=replace(scene.lines, unit=unit))
     told += (*unplaced_notes(scene), *frame_notes(scene, known, options), *size_notes(scene.lines, scene.poses, options.judge))

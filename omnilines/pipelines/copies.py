@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from camera_models.wording import listed
 from omnilines.calibration.rig.views import views_of
 from omnilines.pipelines.arcs import skipped
 from omnilines.pipelines.photo_arcs import PhotoArcs
 from omnilines.pipelines.photo_corners import PhotoCorners
-from omnilines.records import ViewResult
+from omnilines.records import Segments, ViewResult
 
 _COPY = "It is a copy of "
 
@@ -42,6 +43,23 @@ def without_copies(arcs: PhotoArcs, posed: Collection[str] = ()) -> PhotoArcs:
         reason |= zip(names, copies(names, [one.endpoints_px for one in own]), strict=True)
     photos = [one if (why := reason.get(one.photo.name)) is None else skipped(one.photo, one.camera, why) for one in arcs.photos]
     return replace(arcs, photos=tuple(photos))
+
+
+def copied_segments(segments: Segments) -> tuple[str, ...]:
+    """A sentence where photos of a table of matched segments have all of them at exactly the pixels of another photo."""
+    matched = np.flatnonzero(segments.track >= 0)
+    rows = np.column_stack([segments.image, segments.track, segments.endpoints_px.reshape(-1, 4)])[matched]
+    rows = rows[np.lexsort(rows.T[::-1])]
+    photos = np.split(rows[:, 1:], np.searchsorted(rows[:, 0], np.arange(1, len(segments.images))))
+    found = copies(segments.images, photos)
+    named = [name for name, reason in zip(segments.images, found, strict=True) if reason is not None]
+    if not named:
+        return ()
+    has, counts = ("has", "counts") if len(named) == 1 else ("have", "count")
+    return (
+        f"{listed(named)} {has} exactly the segments of another photo, and {counts} as one of its own: copies make lines seem "
+        "more certain than they are; leave them out.",
+    )
 
 
 def corners_without_copies(found: PhotoCorners) -> PhotoCorners:
