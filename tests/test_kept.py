@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 
 import omnilines as ol
+from calib_patterns import Detection
 from calib_patterns.checkerboard import Checkerboard
+from camera_models import Pinhole
 from omnilines.files.kept import read_kept, write_kept
+from omnilines.pipelines import detect
+from omnilines.pipelines.photo_corners import PhotoCorners
 
 ARRAYS = {f"array{k}": np.full((3, 4), float(k)) for k in range(6)}
 
@@ -82,17 +86,42 @@ def test_corners_that_photos_show_or_not_are_kept(tmp_path: Path, monkeypatch: p
 
     monkeypatch.setattr(Checkerboard, "detect", counted)
 
-    def detect(pattern: str = "checkerboard:5x4:30mm") -> tuple[ol.PhotoCorners, int]:
+    def found(pattern: str = "checkerboard:5x4:30mm") -> tuple[PhotoCorners, int]:
         looked.clear()
         return ol.detect(photos, pattern, work=tmp_path / "work"), len(looked)
 
-    (first, every), (again, none) = detect(), detect()
+    (first, every), (again, none) = found(), found()
     assert every == 3 and none == 0 and len(first.corners.images) == 2
     assert again.skipped == first.skipped and {view.name for view in first.skipped} == {"none.png", "cut.png"}
     for name in ("view", "board_m", "pixels", "sigma_px", "ids"):
         np.testing.assert_array_equal(getattr(again.corners, name), getattr(first.corners, name))
     np.testing.assert_array_equal(again.blur_px, first.blur_px)
     cv2.imwrite(str(photos / "b.png"), board(20))
-    assert detect()[1] == 1
+    assert found()[1] == 1
     # Another target is looked for in all of them.
-    assert detect("checkerboard:5x4:31mm")[1] == 3
+    assert found("checkerboard:5x4:31mm")[1] == 3
+
+
+def test_what_a_camera_leads_to_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for name, shift in (("a", 0), ("b", 9)):
+        cv2.imwrite(str(photos / f"{name}.png"), board(shift))
+    first = ol.detect(photos, "checkerboard:5x4:30mm", work=tmp_path / "work")
+    searched: list[int] = []
+
+    def moved(*given: object, **named: object) -> Detection:
+        searched.append(1)
+        return Detection(np.arange(20), np.arange(40.0).reshape(20, 2), np.ones(20))
+
+    monkeypatch.setattr(detect, "searched", moved)
+
+    def again(focal_px: float) -> tuple[PhotoCorners, int]:
+        searched.clear()
+        camera = Pinhole([focal_px, focal_px, 159.5, 119.5, *[0.0] * 9], (320, 240))
+        return detect.search_again(first, camera, {}, first=True), len(searched)
+
+    (fresh, every), (kept, none), (_, others) = again(300.0), again(300.0), again(301.0)
+    assert (every, none, others) == (2, 0, 2)
+    np.testing.assert_array_equal(kept.corners.pixels, fresh.corners.pixels)
+    assert kept.corners.pixels[0].tolist() == [0.0, 1.0]

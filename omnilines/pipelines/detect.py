@@ -17,9 +17,8 @@ from camera_models.typed import typed
 from omnilines.files import Photo, Photos, photo_folder, photos_of
 from omnilines.files.orientation import turned_otherwise
 from omnilines.options import require_ranges
-from omnilines.pipelines.batches import look_at
 from omnilines.pipelines.camera_search import completed, searched
-from omnilines.pipelines.kept_corners import KeptCorners, Looked
+from omnilines.pipelines.kept_corners import Again, KeptCorners, KeptSearch, Looked, said_of
 from omnilines.pipelines.kept_results import look_at_rest
 from omnilines.pipelines.photo_corners import IN_MEMORY, PhotoCorners, blur_of_corners, corner_table
 from omnilines.pipelines.recognise import as_printed
@@ -66,7 +65,7 @@ class _Again:
     mirrored: bool
     options: DetectionOptions
 
-    def __call__(self, item: tuple[Photo, Detection, Pose | None]) -> Detection:
+    def __call__(self, item: Again) -> Detection:
         photo, known, pose = item
         try:
             image = photo.read()
@@ -119,8 +118,7 @@ def detect(
         target, otherwise = as_printed(target, found_photos, any_tags=True, mirrored=mirrored, options=options, progress=progress)
 
     turned = turned_otherwise(found_photos)
-    known = None if camera is None else (camera.NAME, camera.image_size, camera.parameters.detach().tolist())
-    asked = (target.specification, known, mirrored, options.stated)
+    asked = (target.specification, said_of(camera), mirrored, options.stated)
     found = look_at_rest(
         _First(target, camera, mirrored, options),
         [(photo, turned.get(photo.name)) for photo in found_photos],
@@ -155,6 +153,7 @@ def detect(
         {"photos": IN_MEMORY if folder is None else folder, "pattern": target.specification},
         otherwise,
         other,
+        None if work is None else Path(work),
     )
 
 
@@ -223,11 +222,13 @@ def search_again(
         return len(np.setdiff1d(seen_ids(pattern, model, poses[photo.name]), found.detection(photo.name).ids)) > 0
 
     again = [photo for photo in found.photos if may_gain(photo)]
-    better = look_at(
+    asked = ("again", pattern.specification, said_of(model), found.mirrored, found.options.stated)
+    better = look_at_rest(
         _Again(pattern, model, found.mirrored, found.options),
         [(photo, found.detection(photo.name), poses.get(photo.name)) for photo in again],
         again,
         "searching with the camera",
+        None if found.work is None else KeptSearch.within(found.work, asked),
         executor=executor,
         bytes_per_pixel=BYTES_PER_PIXEL,
         progress=progress,

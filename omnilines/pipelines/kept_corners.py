@@ -1,5 +1,7 @@
 """Corners that photos were found to show, kept from one run to the next."""
 
+import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -7,6 +9,8 @@ from typing import TypeAlias
 import numpy as np
 
 from calib_patterns import Detection
+from camera_models import CameraModel
+from camera_models.pose import Pose
 from omnilines.files import Photo
 from omnilines.files.folders import output_folder, work_folder
 from omnilines.files.kept import read_kept, write_kept
@@ -14,6 +18,8 @@ from omnilines.pipelines.kept_results import inputs_of
 
 Looked: TypeAlias = tuple[Detection, str | None, tuple[int, int] | None]
 """What one photo shows of the target, why it was skipped, and its size, None where it was not looked at."""
+Again: TypeAlias = tuple[Photo, Detection, Pose | None]
+"""A photo that is searched once the camera is known, what was found in it, and its pose where it is known."""
 MADE_BY = (
     "calib_patterns",
     "camera_models",
@@ -37,29 +43,74 @@ class KeptCorners:
     @staticmethod
     def within(work: str | Path, asked: object) -> "KeptCorners":
         """Those of a folder, which is made. Raises InputError as `work_folder` does."""
-        return KeptCorners(output_folder(work_folder(work) / "corners"), repr(asked))
+        return KeptCorners(_folder(work), repr(asked))
 
     def known(self, item: tuple[Photo, str | None]) -> tuple[str | None, Looked | None]:
         """What the corners of one photo are kept by, and they, where they are."""
         photo, left_out = item
         inputs = None if left_out is not None else inputs_of(photo, self.asked, *MADE_BY)
-        arrays = None if inputs is None else read_kept(self.folder / f"{inputs}.npz", inputs)
+        arrays = _read(self.folder, inputs)
         if arrays is None:
             return inputs, None
         width, height = arrays["size"].tolist()
-        reason = str(arrays["reason"]) or None
-        return inputs, (
-            Detection(arrays["ids"], arrays["pixels"], arrays["sigma_px"], arrays.get("blur_px")),
-            reason,
-            (width, height),
-        )
+        return inputs, (_detection(arrays), str(arrays["reason"]) or None, (width, height))
 
     def write(self, inputs: str | None, looked: Looked) -> None:
         """Keep those of a photo that was looked at."""
         found, reason, size = looked
-        if inputs is None or size is None:
-            return
-        arrays = {"ids": found.ids, "pixels": found.pixels, "sigma_px": found.sigma_px}
-        arrays |= {"size": np.array(size), "reason": np.array(reason or "")}
-        arrays |= {} if found.blur_px is None else {"blur_px": found.blur_px}
-        write_kept(self.folder / f"{inputs}.npz", inputs, arrays)
+        if inputs is not None and size is not None:
+            beside = {"size": np.array(size), "reason": np.array(reason or "")}
+            write_kept(self.folder / f"{inputs}.npz", inputs, _arrays(found) | beside)
+
+
+@dataclass(frozen=True)
+class KeptSearch:
+    """What a camera that is known led to in photos."""
+
+    folder: Path
+    asked: str
+    """The target, the camera and all else that decides it."""
+
+    @staticmethod
+    def within(work: str | Path, asked: object) -> "KeptSearch":
+        """As that of `KeptCorners`."""
+        return KeptSearch(_folder(work), repr(asked))
+
+    def known(self, item: Again) -> tuple[str | None, Detection | None]:
+        """What the corners of one photo are kept by, and they, where they are."""
+        photo, before, pose = item
+        what = hashlib.sha256()
+        for name, values in _arrays(before).items():
+            what.update(f"{name} {values.dtype} {values.shape}".encode() + values.tobytes())
+        if pose is not None:
+            what.update(pose.rotation.detach().numpy().tobytes() + pose.translation.detach().numpy().tobytes())
+        inputs = inputs_of(photo, f"{self.asked} {what.hexdigest()}", *MADE_BY)
+        arrays = _read(self.folder, inputs)
+        return inputs, None if arrays is None else _detection(arrays)
+
+    def write(self, inputs: str | None, found: Detection) -> None:
+        """Keep those of a photo that was searched."""
+        if inputs is not None:
+            write_kept(self.folder / f"{inputs}.npz", inputs, _arrays(found))
+
+
+def said_of(camera: CameraModel | None) -> object:
+    """A camera among what decides what is found."""
+    return None if camera is None else (camera.NAME, camera.image_size, camera.parameters.detach().tolist())
+
+
+def _folder(work: str | Path) -> Path:
+    return output_folder(work_folder(work) / "corners")
+
+
+def _read(folder: Path, inputs: str | None) -> dict[str, np.ndarray] | None:
+    return None if inputs is None else read_kept(folder / f"{inputs}.npz", inputs)
+
+
+def _arrays(found: Detection) -> dict[str, np.ndarray]:
+    arrays = {"ids": found.ids, "pixels": found.pixels, "sigma_px": found.sigma_px}
+    return arrays if found.blur_px is None else arrays | {"blur_px": found.blur_px}
+
+
+def _detection(arrays: Mapping[str, np.ndarray]) -> Detection:
+    return Detection(arrays["ids"], arrays["pixels"], arrays["sigma_px"], arrays.get("blur_px"))

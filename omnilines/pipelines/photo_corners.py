@@ -47,6 +47,8 @@ class PhotoCorners:
     """What the photos show of the print of the target that was not given."""
     other: str | None = None
     """What most photos show in place of the target, one sentence, where that was seen."""
+    work: Path | None = None
+    """The folder in which what is found is kept."""
 
     def __repr__(self) -> str:
         return f"PhotoCorners({self.corners}, skipped={len(self.skipped)})"
