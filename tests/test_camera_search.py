@@ -26,7 +26,6 @@ from omnilines.commands.detect import detect as detect_command
 from omnilines.files import photos as photos_module
 from omnilines.files import read_corners
 from omnilines.pipelines import calibrate as calibrate_pipeline
-from omnilines.pipelines import calibrate_one
 from omnilines.pipelines.camera_search import completed, resected, searched
 from omnilines.pipelines.detect import detect, search_again
 from omnilines.pipelines.photo_corners import PhotoCorners
@@ -209,7 +208,7 @@ def test_complete_photos_are_read_the_first_time_only(photo_set: Set, monkeypatc
 @pytest.mark.parametrize("model", ["opencv-fisheye", pytest.param("auto", marks=pytest.mark.full)])
 def test_calibrate_gains_what_detection_lost(photo_set: Set, model: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     whole = detect(photo_set.folder, BOARD)
-    monkeypatch.setattr(calibrate_one, "detect", lambda *_, **__: reduced(whole, photo_set))
+    monkeypatch.setattr("omnilines.commands.calibrate.detect", lambda *_, **__: reduced(whole, photo_set))
     if model == "auto":
         # The models are compared once, by the final corners.
         original = calibrate_pipeline.select_model
