@@ -269,8 +269,10 @@ def begun_with_four(
 ) -> list[int]:
     """Arcs found by the workers of a scheduler, which have to be those that are found here; processes that began a photo."""
     folder.mkdir()
-    inner = arcs_module.look_at
-    monkeypatch.setattr(arcs_module, "look_at", lambda work, *args, **named: inner(Logged(work, folder, slow_s), *args, **named))
+    inner = arcs_module.look_at_rest
+    monkeypatch.setattr(
+        arcs_module, "look_at_rest", lambda work, *args, **named: inner(Logged(work, folder, slow_s), *args, **named)
+    )
     scene.require_same_arcs(ol.extract(scene.room, scene.cameras, executor=executor))
     return [int(path.name.partition("-")[0]) for path in folder.iterdir()]
 

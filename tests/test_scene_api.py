@@ -377,7 +377,7 @@ def test_arcs_are_kept_until_the_photo_the_options_or_the_code_change(
     extract(photos, cameras, options=replace(arcs_module.SHORT_ARCS, min_length_px=40.0), work=tmp_path)
     with_options = set((tmp_path / "arcs").iterdir())
     assert len(kept) == 1 and len(with_options) == 2
-    monkeypatch.setattr(arcs_module, "revision", lambda *packages: "another")
+    monkeypatch.setattr("omnilines.pipelines.kept_results.revision", lambda *packages: "another")
     extract(photos, cameras, work=tmp_path)
     assert len(set((tmp_path / "arcs").iterdir())) == 3
 
