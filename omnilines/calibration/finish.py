@@ -12,7 +12,6 @@ from torch import Tensor
 from camera_models import CameraModel, GeometryError
 from camera_models.formats.camera_doubts import model_doubts
 from camera_models.wording import rounded
-from omnilines.calibration.bent_board import bent_board
 from omnilines.calibration.by_views import stated_covariance
 from omnilines.calibration.diagnose import (
     coverage_notes,
@@ -31,6 +30,7 @@ from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.table_doubts import misfit_notes, refuse_disorder
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.calibration.uncertainty import view_leverage
+from omnilines.calibration.unmodelled import unmodelled
 from omnilines.calibration.views import board_points, view_results
 from omnilines.least_squares import Outcome, Solution
 from omnilines.least_squares.variance import variance_factor
@@ -100,11 +100,11 @@ def camera_result(
     misfit = _misfit(final, model, residual)
     notes += () if misfit is None else (misfit.note(model.NAME),)
     notes += noise_notes(factor, stated, thresholds.noise) + certain.note
-    bent = None
+    other = None
     if misfit is None and _of_one_drawing(final, state):
         reach = math.radians(low), math.radians(high)
-        bent = bent_board(final.points, state, basis, final.weight, covariance, reach, thresholds.degeneracy.misfit_significance)
-        notes += () if bent is None else (bent.note,)
+        other = unmodelled(final.points, state, basis, final.weight, covariance, reach, thresholds.degeneracy.misfit_significance)
+        notes += () if other is None else (other.note,)
     if curved is not None:
         notes += (CURVED + (PROJECTION_HOLDS if misfit is None and not certain.note else ""),)
     views = _views(final, state, residual, leverage)
@@ -127,7 +127,7 @@ def camera_result(
         beyond_noise=certain.beyond_noise,
         curved=curved is not None,
         misfit=misfit,
-        bent=bent,
+        unmodelled=other,
     )
 
 

@@ -7,10 +7,10 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from camera_models import CameraModel
-from omnilines.calibration.bent_board import BentBoard
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.model_misfit import ModelMisfit
+from omnilines.calibration.unmodelled import Unmodelled
 from omnilines.records import ViewResult
 
 
@@ -47,8 +47,8 @@ class CameraCalibration:
     """Whether the covariance does not hold so far from the estimate, so that intervals are those of the profile likelihood."""
     misfit: ModelMisfit | None = None
     """What residuals have in common in all photos, where the model does not follow the lens."""
-    bent: BentBoard | None = None
-    """A bend of the board that all photos share, where it moves the projection by more than is stated."""
+    unmodelled: Unmodelled | None = None
+    """What neither board nor model hold in all photos alike, where that moves the projection by more than is stated."""
     line_delay: LineDelay | None = None
     """Of a rolling shutter that was recognised or estimated."""
 

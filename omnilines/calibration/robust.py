@@ -70,10 +70,12 @@ def robust_fit(
 ) -> RobustFit:
     """Refine with a loss scaled by the residuals until their scale and the set of kept corners converge.
 
-    With a `basis` of no columns the camera is held. Two passes are enough where another fit of all corners follows.
+    With a `basis` of no columns the camera is held. What is free of the board in the shape of the state is estimated too. Two
+    passes are enough where another fit of all corners follows.
     """
-    problem = BoardProblem(task.points, state.model.calibration_basis() if basis is None else basis, task.weight)
-    unknowns = 6 * task.points.views + problem.basis.shape[1]
+    along = state.model.calibration_basis() if basis is None else basis
+    problem = BoardProblem(task.points, along, task.weight, state.shape)
+    unknowns = 6 * task.points.views + problem.structure.kept_size
     fit = task.judged(state, unknowns)
     for done in range(PASSES):
         scaled = Loss(task.loss, task.thresholds.loss_scale * fit.scale_px)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -80,6 +81,12 @@ def calibrate_from_fit(
     shape = BoardShape.to_refine(refine_board, usable.points.board)
     parallel_deg = thresholds.degeneracy.parallel_deg
     refuse_parallel_boards(fit.state.cam_from_board, parallel_deg)
+    if loss != "none" and not shape.plain:
+        # Corners are judged by the board that is estimated: as drawn, it would reject good ones and keep wrong ones.
+        smooth, _ = smooth_corners(usable.points, thresholds.screening)
+        clean = usable.points.chosen(smooth)
+        task = RobustTask(usable.points, clean, usable.weight, loss, thresholds.robust, usable.stated_px, callback)
+        fit = robust_fit(task, replace(fit.state, shape=shape))
     kept = fit.kept if loss != "none" else torch.ones_like(fit.kept)
     fitting = rows.copy()
     fitting[rows] = kept.numpy()
@@ -98,7 +105,7 @@ def calibrate_from_fit(
         limit_px=fit.limit_px if loss != "none" else None,
         thresholds=thresholds,
     )
-    start = CameraAndBoards(fit.state.model, fit.state.cam_from_board[good], shape)
+    start = CameraAndBoards(fit.state.model, fit.state.cam_from_board[good], shape if loss == "none" else fit.state.shape)
     basis = start.model.calibration_basis()
     problem = BoardProblem(final.points, basis, final.weight, shape)
     minima = refine_with_rivals(problem, start, thresholds.noise.tied_variances, callback)

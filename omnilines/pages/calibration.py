@@ -11,13 +11,13 @@ from jaxtyping import Float
 from camera_models.pose import Pose
 from camera_models.wording import rounded
 from omnilines import report
-from omnilines.calibration.bent_board import BentBoard
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.lines.select import LineSelection
 from omnilines.calibration.model_misfit import ModelMisfit
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.select import Selection
+from omnilines.calibration.unmodelled import Unmodelled
 from omnilines.pages.board_curves import grid_curves_px
 from omnilines.pages.limits import board_advice
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_section, next_views_summary
@@ -111,9 +111,10 @@ def misfit_data(misfit: ModelMisfit) -> dict[str, Any]:
     return {"radii_px": misfit.radii_px.tolist(), "outward_px": misfit.outward_px.tolist(), "p": misfit.chance}
 
 
-def bent_data(bent: BentBoard) -> dict[str, Any]:
+def unmodelled_data(found: Unmodelled) -> dict[str, Any]:
     """Of `calibration_data`."""
-    return {"off_plane_m": bent.off_plane_m, "moved_px": bent.moved_px, "stated_px": bent.stated_px, "p": bent.chance}
+    of_camera = {"moved_px": found.moved_px, "stated_px": found.stated_px, "p": found.chance}
+    return {"kind": found.kind, "size": found.size, "reach_deg": found.reach_deg, **of_camera}
 
 
 def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
@@ -128,7 +129,7 @@ def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
         "interval_95": {name: [_or_none(end) for end in ends] for name, ends in result.intervals.items()},
         "curved": result.curved,
         "misfit": None if result.misfit is None else misfit_data(result.misfit),
-        "bent_board": None if result.bent is None else bent_data(result.bent),
+        "unmodelled": None if result.unmodelled is None else unmodelled_data(result.unmodelled),
         "rms_px_per_axis": result.rms_px_per_axis,
         "rms_px_per_point": result.rms_px_per_point,
         "min_angle_deg": result.min_angle_deg,

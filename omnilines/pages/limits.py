@@ -7,7 +7,6 @@ import numpy as np
 import torch
 
 from camera_models.wording import rounded
-from omnilines.calibration.bent_board import REMEDY
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
 from omnilines.calibration.lines.camera import LineCamera, focal_length
@@ -59,8 +58,8 @@ def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corne
             found.insert(0, Advice(views.limits[-1], noise))
     if stated_px and not (views is not None and views.noisy) and fit.corner_sigma_px > UNEXPLAINED * stated_px:
         found.append(_unexplained("", fit.corner_sigma_px / stated_px, stated_px, noise))
-    bent = () if fit.bent is None else (Advice(f"{fit.bent.limit}.", REMEDY),)
-    return (*bent, *found, *_standing_out(fit.views), *unused)
+    other = () if fit.unmodelled is None else (Advice(f"{fit.unmodelled.limit}.", fit.unmodelled.remedy),)
+    return (*other, *found, *_standing_out(fit.views), *unused)
 
 
 def _of_misfit(model: str, misfit: ModelMisfit, compared: bool) -> Advice:
@@ -102,7 +101,7 @@ def _of_noise(views: Sequence[ViewResult], board_terms: Mapping[str, float], com
         )
     least, most = rounded(min(px, default=0.0)), rounded(max(px, default=0.0))
     alike = f"All photos fit alike ({least} to {most} px), so that no single one is at fault"
-    tries = [*([] if board_terms else ["`refine_board` surface"]), *([] if compared else ["`model` auto"])]
+    tries = [*([] if board_terms else ["`refine_board` aspect,surface"]), *([] if compared else ["`model` auto"])]
     return f"{alike}: try {', and '.join(tries)}." if tries else f"{alike}, but what they share, such as the board."
 
 
