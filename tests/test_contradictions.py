@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from test_rig import omnidir_pair
+from omnidir_pair import omnidir_pair
 
 import omnilines as ol
 from omnilines.calibration.rig.links import relative_pose, translation_covariance

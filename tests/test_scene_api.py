@@ -6,7 +6,6 @@ import json
 import math
 import shutil
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +18,7 @@ from camera_models.pose import Pose
 from omnilines.adjustment.prior import KnownPoses
 from omnilines.commands.reconstruct import reconstruct_photos
 from omnilines.commands.resume import NOTE, Stamp
-from omnilines.files import find_photos, fingerprint, read_lines, read_photo, read_poses, read_segments, write_segments
-from omnilines.files.fingerprint import content_hash, revision
-from omnilines.files.fingerprint import fingerprint as made_from
+from omnilines.files import find_photos, read_lines, read_photo, read_poses, read_segments, write_segments
 from omnilines.machine import THREADS
 from omnilines.pages.scene import scene_summary
 from omnilines.pipelines import arcs as arcs_module
@@ -380,28 +377,6 @@ def test_arcs_are_kept_until_the_photo_the_options_or_the_code_change(
     monkeypatch.setattr("omnilines.pipelines.kept_results.revision", lambda *packages: "another")
     extract(photos, cameras, work=tmp_path)
     assert len(set((tmp_path / "arcs").iterdir())) == 3
-
-
-def test_a_revision_is_of_the_source_and_else_the_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "one" / "part"
-    package.mkdir(parents=True)
-    (package / "a.py").write_text("A = 1\n")
-    (tmp_path / "one" / "b.py").write_text("B = 1\n")
-    monkeypatch.setattr(fingerprint, "SOURCES", tmp_path)
-    seen = set()
-    for name, text in (("part/a.py", "A = 1\n"), ("part/a.py", "A = 2\n"), ("part/new.py", ""), ("b.py", "B = 2\n")):
-        (tmp_path / "one" / name).write_text(text)
-        revision.cache_clear()
-        seen.add(revision("one.part", "one.b"))
-        assert revision("one.part", "one.b") in seen
-    assert len(seen) == 4 and version("omnilines") not in seen
-    revision.cache_clear()
-    assert revision("one.absent") == version("omnilines")
-    revision.cache_clear()
-    first = made_from([tmp_path / "one" / "b.py"], "options", "1")
-    assert len({first, made_from([], "options", "1"), made_from([tmp_path / "one" / "b.py"], "options", "2")}) == 3
-    with pytest.raises(InputError, match="none does not exist"):
-        content_hash(tmp_path / "none")
 
 
 @pytest.mark.slow
