@@ -47,6 +47,8 @@ class SeenBoard:
     """Dictionary of a ChArUco board, family of an AprilGrid."""
     shown: str = ""
     """`negative` or `mirrored`, where the photo shows it so."""
+    otherwise: bool = False
+    """Whether tags of an AprilGrid are turned, or numbered in another order, than Kalibr prints them."""
 
 
 def seen_board(image: np.ndarray, options: DetectionOptions = DetectionOptions()) -> SeenBoard | None:
@@ -103,10 +105,10 @@ def _tagged(image: np.ndarray, options: DetectionOptions) -> SeenBoard | None:
                         by_chance = float(binom.logsf(len(own) - 1, max(len(quads), 1), min(chance, 1.0)))
                         if by_chance < least:
                             least = by_chance
-                            centres = pixels[ids < count][first].mean(1)
-                            columns, rows = _layout(own, centres, "aprilgrid" if touching else "charuco")
-                            tags = april if touching else name
-                            best = SeenBoard("aprilgrid" if touching else "charuco", columns, rows, tags, shown)
+                            corners = pixels[ids < count][first]
+                            columns, rows = _layout(own, corners.mean(1), "aprilgrid" if touching else "charuco")
+                            tags, otherwise = april if touching else name, touching and _otherwise(own, corners, columns)
+                            best = SeenBoard("aprilgrid" if touching else "charuco", columns, rows, tags, shown, otherwise)
         if best is not None:
             return best
     return None
@@ -132,6 +134,19 @@ def _layout(ids: Int[np.ndarray, " k"], centres: Float[np.ndarray, "k 2"], name:
     if not left or (len(left) > 1 and left[0][0] > CLEAR_FACTOR * left[1][0]):
         return 0, 0
     return left[0][1:]
+
+
+def _otherwise(ids: Int[np.ndarray, " k"], corners: Float[np.ndarray, "k 4 2"], columns: int) -> bool:
+    """Whether tags lie otherwise beside each other than in `AprilGrid.tag_corners_m`: there the top of each, from its own top
+    left on, runs against the columns, and its left side with the rows."""
+    places = _places(ids, columns, "aprilgrid") if columns else np.zeros((0, 2))
+    design = np.column_stack([np.ones(len(places)), places])
+    if np.linalg.matrix_rank(design) < 3:
+        return False
+    along = np.linalg.lstsq(design, corners[: len(places)].mean(1), rcond=None)[0][1:]
+    sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]], 1).mean(0)
+    top, left = sides @ np.linalg.inv(along)
+    return bool(top[0] > -abs(top[1]) or left[1] < abs(left[0]))
 
 
 def _places(ids: Int[np.ndarray, " k"], columns: int, name: str) -> Float[np.ndarray, "k 2"]:

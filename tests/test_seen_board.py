@@ -74,6 +74,26 @@ def test_a_board_of_other_sizes_is_to_be_measured() -> None:
     )
 
 
+@pytest.mark.parametrize("way", [(1, -1), (-1, 1), (-1, -1)])
+def test_tags_of_an_aprilgrid_that_lie_otherwise_are_said_to(way: tuple[int, int]) -> None:
+    """Each tag by itself in a mirror or turned; a tag in a mirror is none, so that the whole board is put in another one."""
+    board = calib_patterns.pattern("aprilgrid:6x5:35mm:0.3:36h11")
+    shown = photo(board.specification, pixels=900)
+    # Half a turn of the board leaves the ids in their places and turns every tag.
+    step = max(board.size_m) / 900
+    left, top = board.top_left_m
+    for x, y in board._tag_top_left_m:
+        column, row = round((x - left) / step), round((y - top) / step)
+        side = round(board.tag_m / step)
+        tag = shown[row : row + side, column : column + side]
+        tag[:] = tag[:: way[0], :: way[1]].copy()
+    turned = np.ascontiguousarray(shown[:, ::-1]) if way != (-1, -1) else shown
+    found = seen_board(turned)
+    assert found is not None and found.otherwise and found.shown == "" and (found.columns, found.rows) == (6, 5)
+    said = other_board(photos_of([turned]), board, False, DetectionOptions(), silent, in_no_photo=True)
+    assert said is not None and said.startswith("The photos show its tags turned, or numbered in another order")
+
+
 def test_a_wrong_layout_is_said_before_what_geometry_says_of_it() -> None:
     """Some tags of another layout agree with the one given: their corners leave any camera open."""
     asked = NEGATIVE.replace("4x5", "6x7")

@@ -276,11 +276,11 @@ def calibrate_rig(
         require_times(corners.corners)
     thresholds = setup.options
     least = {name: 1 if name in setup.start else thresholds.views.least_views for name in corners.image_sizes}
-    corners = rig_without_copies(corners, least, thresholds.duplicates, in_cameras=not thresholds.rolling_shutter)
     # Of several boards each may show the tags of another.
     one_board = len({item.pattern for item in corners.cameras}) == 1
     with before_geometry({item.camera: item.found for item in corners.cameras} if one_board else {}, progress):
-        found, result = corners, _fitted(corners, setup, progress)
+        found = rig_without_copies(corners, least, thresholds.duplicates, in_cameras=not thresholds.rolling_shutter)
+        result = _fitted(found, setup, progress)
     again = searched_with_rig(found, result, executor, progress)
     if again is not None:
         # The same corners, a little nearer to where they are, choose no other model.

@@ -47,6 +47,11 @@ def other_board(
         return _sentence(seen, asked, mirrored)
     if asked.plain_grid is not None or not in_no_photo:
         return None
+    if seen.otherwise:
+        return (
+            "The photos show its tags turned, or numbered in another order, than Kalibr's AprilGrid has them (from the bottom "
+            "left upwards, each half a turn from OpenCV's pictures of tags): draw it as `pattern` or Kalibr does."
+        )
     return "The photos show its tags, but not its corners where these sizes have them: measure squares and tags."
 
 
@@ -91,7 +96,7 @@ def _agreed(seen: Sequence[SeenBoard], tried: int) -> SeenBoard | None:
     wide = columns[0][0] if columns else 0
     rows = max((board.rows for board in alike if board.columns == wide), default=0)
     tags = max((board.tags for board in alike), key=lambda name: TAGS_OF_DICTIONARY.get(name, 0))
-    return SeenBoard(alike[0].name, wide, rows, tags, alike[0].shown)
+    return SeenBoard(alike[0].name, wide, rows, tags, alike[0].shown, 2 * sum(board.otherwise for board in alike) > len(alike))
 
 
 def _plain(board: SeenBoard) -> object:
