@@ -160,6 +160,13 @@ def require_ranges(options: Any) -> None:
     _require_ordered(options, "")
 
 
+def require_ranges_of_parts(options: Any) -> None:
+    """`require_ranges` of the options that are part of others, whose own are checked by what takes them."""
+    for part in vars(options).values():
+        if is_group(part):
+            require_ranges(part)
+
+
 UNITS = {
     "share": (0.0, 1.0),
     "cosine": (-1.0, 1.0),

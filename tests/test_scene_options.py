@@ -8,11 +8,13 @@ from matching_scenes import every_neighbour, room
 from triangulation_scenes import circle
 
 import omnilines
-from camera_models import InputError
+from camera_models import Calibration, Equirectangular, InputError
 from omnilines.matching.hypotheses import find_hypotheses
 from omnilines.matching.match import match_arcs
 from omnilines.matching.options import MatchingOptions
 from omnilines.options import walk, with_settings
+from omnilines.pipelines.options import JudgeOptions, SceneOptions
+from omnilines.pipelines.reconstruct import check_options
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.options import PosingOptions
 from omnilines.structure.options import FamilyOptions, StructureOptions
@@ -44,6 +46,13 @@ def test_every_option_has_a_sentence_and_is_used(package: str) -> None:
         assert f".{name.split('.')[-1]}" in code, name
         text = ",".join(map(str, value)) if isinstance(value, tuple) else str(value)
         assert with_settings(given, [f"{name}={text}"]) == given
+
+
+@pytest.mark.parametrize("judge", [{"fitting_px": -1.0}, {"rough_share": 1.5}])
+def test_options_made_in_python_have_the_ranges_of_the_command_line(judge: dict[str, float]) -> None:
+    cameras = Calibration({"cam0": Equirectangular([], (100, 50))})
+    with pytest.raises(InputError, match=f"{next(iter(judge))} was expected to be a number from .*correct it"):
+        check_options(SceneOptions(judge=JudgeOptions(**judge)), cameras)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from omnilines.adjustment.scene import AdjustedScene, check_refine, reconstruct_
 from omnilines.files.scene_folder import Z_UP
 from omnilines.files.segments import repeated
 from omnilines.least_squares.devices import usable_device
+from omnilines.options import require_ranges_of_parts
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
 from omnilines.pipelines.assumed_errors import require_error, with_assumed_errors
@@ -78,6 +79,7 @@ def adjust(
     """
     check_refine(options.refine)
     require_error(options)
+    require_ranges_of_parts(options)
     idle = [name for name in OF_PHOTOS if getattr(options, name) != getattr(OF_TABLES, name)]
     if idle:
         raise InputError(f"`{idle[0]}` counts only with photos, found matched segments; leave that option as it is.")

@@ -17,6 +17,7 @@ from omnilines.files import Photos, photo_folder, photos_of
 from omnilines.files.masks import Mask, check_masks, with_masks
 from omnilines.files.sets import claimed
 from omnilines.files.tables import name_cells, number_cells, write_table
+from omnilines.options import require_ranges
 from omnilines.pipelines.arc_chains import arc_chains_of
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, known_angles_rad
 from omnilines.pipelines.check_options import CheckOptions
@@ -129,6 +130,7 @@ def check(
         >>> ol.check("room/", ol.load("room/calibration.yaml")).holds
         True
     """
+    require_ranges(options)
     cameras, given = calibration_of(camera), photos_of(photos)
     shown = dict.fromkeys(cameras_of_photos(given, cameras).values())
     if len(shown) != 1:

@@ -20,6 +20,7 @@ from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
 from omnilines.files.kept import read_kept, write_kept
 from omnilines.files.masks import looked_at, mask_files
+from omnilines.options import require_ranges
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import is_copy, without_copies
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs, require_cameras_of
@@ -106,6 +107,7 @@ def estimate_poses(
         (6, {}, 'metres')
     """
     source, cameras = str(source), calibration_of(camera)
+    require_ranges(options)
     if isinstance(photos, PhotoArcs):
         require_cameras_of(photos, cameras)
     photos = without_copies(photos) if isinstance(photos, PhotoArcs) and from_photos(source) else photos

@@ -21,6 +21,7 @@ from omnilines.files.folders import work_folder
 from omnilines.least_squares import Loss
 from omnilines.least_squares.devices import usable_device
 from omnilines.matching.tracks import FIRST_VIEWS
+from omnilines.options import require_ranges_of_parts
 from omnilines.pipelines.adjust import adjust, check_prior
 from omnilines.pipelines.advice import advice
 from omnilines.pipelines.arcs import calibration_of
@@ -82,6 +83,7 @@ def check_options(options: SceneOptions, cameras: Calibration, pose_sigma: tuple
     if options.bow_share is not None and not 0 <= options.bow_share < 1:
         raise InputError(f"A `bow_share` from 0 to below 1 was expected, found {options.bow_share}; correct the option.")
     require_error(options)
+    require_ranges_of_parts(options)
     if options.seed < 0:
         raise InputError(f"A `seed` of 0 or more was expected, found {options.seed}; correct it.")
     if "rig" in options.refine and not cameras.rig:
