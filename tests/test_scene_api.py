@@ -207,7 +207,7 @@ def test_a_prior_that_lines_contradict_is_told(found: PhotoArcs, poses: ImagePos
     twists = torch.zeros(VIEWS, 6, dtype=torch.float64)
     twists[2, 1] = math.radians(0.3)
     given = replace(poses, cam_from_world=Pose.exp(twists) @ poses.cam_from_world)
-    options = SceneOptions(refine=("lines", "poses"), rounds=RoundOptions(max_rounds=1))
+    options = SceneOptions(refine=("lines", "poses"), rounds=RoundOptions(min_rounds=1, max_rounds=1))
     pulled = reconstruct(found, given, cameras["cam0"], options, pose_sigma=(math.radians(0.02), 0.001))
     (told,) = [one for one in pulled.told if "Lines draw" in one]
     assert f"{poses.images[2]} farther from the given poses than their prior lets expect" in told
