@@ -139,11 +139,12 @@ def _layout(ids: Int[np.ndarray, " k"], centres: Float[np.ndarray, "k 2"], name:
 def _otherwise(ids: Int[np.ndarray, " k"], corners: Float[np.ndarray, "k 4 2"], columns: int) -> bool:
     """Whether tags lie otherwise beside each other than in `AprilGrid.tag_corners_m`: there the top of each, from its own top
     left on, runs against the columns, and its left side with the rows."""
-    places = _places(ids, columns, "aprilgrid") if columns else np.zeros((0, 2))
-    design = np.column_stack([np.ones(len(places)), places])
-    if np.linalg.matrix_rank(design) < 3:
+    if not columns:
         return False
-    along = np.linalg.lstsq(design, corners[: len(places)].mean(1), rcond=None)[0][1:]
+    design = np.column_stack([np.ones(len(ids)), _places(ids, columns, "aprilgrid")])
+    if np.linalg.matrix_rank(design) < design.shape[1]:
+        return False
+    along = np.linalg.lstsq(design, corners.mean(1), rcond=None)[0][1:]
     sides = np.stack([corners[:, 1] - corners[:, 0], corners[:, 3] - corners[:, 0]], 1).mean(0)
     top, left = sides @ np.linalg.inv(along)
     return bool(top[0] > -abs(top[1]) or left[1] < abs(left[0]))

@@ -222,6 +222,17 @@ def test_of_two_cameras_equally_far_from_a_line_the_last_one_is_that_of_its_char
         torch.set_num_threads(threads)
 
 
+def test_rounding_does_not_choose_the_camera_of_a_chart() -> None:
+    """Two cameras beside the median are equally far from it: the last digits of a pose would choose, and with them the chart."""
+    n = 200
+    lines = PlueckerLines.through(normal(n, 3, seed=31), normal(n, 3, seed=32))
+    cameras = normal(2 * n, 3, seed=33)
+    chart = LineChart.about_cameras(lines, cameras, torch.arange(n).repeat(2))
+    foot = lines.closest_point(cameras[n:])
+    towards = torch.nn.functional.normalize(cameras[n:] - foot, dim=-1)
+    torch.testing.assert_close(torch.nn.functional.normalize(chart.centre - foot, dim=-1), towards, rtol=0, atol=1e-9)
+
+
 def test_chart_jacobian_is_that_of_autograd() -> None:
     _, chart = chart_of(10, seed=22)
     chart = chart.retract(0.2 * normal(10, 4, seed=23))

@@ -18,6 +18,8 @@ from omnilines.geometry.line import PlueckerLines, weighted_median_by_group
 
 PHI_MIN_RAD, PHI_MAX_RAD = math.radians(20), math.radians(70)
 """A chart is well scaled between these."""
+_ROUNDING = 1e-9
+"""Of the distance of a line's cameras: far above what rounding makes of it, far below what is measured."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,9 @@ class LineChart:
         scale = weighted_median_by_group(distance, torch.ones_like(distance), track, len(lines))
         mismatch = (distance - scale[track]).abs()
         least = torch.full_like(scale, torch.inf).scatter_reduce(0, track, mismatch, "amin")
-        nearest = torch.nonzero(mismatch <= least[track]).squeeze(-1)
-        # Two cameras beside the median are equally near: without a rule it were the one that a thread of torch writes last.
+        # Of two cameras beside the median, which are equally near but for rounding, the last: without a rule their last digits
+        # would choose the chart, or the thread of torch that writes last.
+        nearest = torch.nonzero(mismatch <= (least + _ROUNDING * scale)[track]).squeeze(-1)
         row = torch.full_like(scale, len(track), dtype=torch.int64).scatter_reduce(
             0, track[nearest], nearest, "amax", include_self=False
         )

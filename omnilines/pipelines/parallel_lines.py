@@ -53,7 +53,7 @@ def stepped_lines(
     assert lines.covariance is not None and lines.chart_centre_m is not None
     centre = torch.as_tensor(lines.chart_centre_m[rows])[:, None]
     ends = torch.as_tensor(lines.ends_m[rows]) - centre
-    # Straight in space, not along the chart: which camera a chart is about is a matter of rounding.
+    # Straight in space, not along the chart, which depends on the camera that it is about.
     ends = ends + (motion_across(local_charts(lines, rows), ends) @ step[:, None, :, None])[..., 0]
     moved = replace(lines, ends_m=_with_rows(lines.ends_m, rows, ends + centre))
     sigma = end_sigma_m(local_charts(moved, rows), covariance, ends)
