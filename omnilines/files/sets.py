@@ -16,6 +16,7 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 from camera_models import InputError
@@ -26,7 +27,7 @@ from omnilines.files.fingerprint import content_hash
 from omnilines.files.folders import OF_PAGE, Written, check_results, way_out, write_list, written
 
 _STAGED = re.compile(r"\.omnilines\.[a-z0-9_]{8}\.part")
-_removed: list[Path] = []
+_removed: ContextVar[list[Path] | None] = ContextVar("_removed", default=None)
 
 
 @contextmanager
@@ -124,8 +125,9 @@ def _settle(folder: Path) -> None:
             raise InputError(f"Results in {moving} were expected to be files, found {path.name}, which is none; remove {moving}.")
     if (moving / MANIFEST).exists():
         for name in sorted(written(folder).keys() - written(moving).keys()):
-            if _remove(folder, name, written(folder)[name].sha256):
-                _removed.append(folder / name)
+            gone = _remove(folder, name, written(folder)[name].sha256)
+            if gone and (told := _removed.get()) is not None:
+                told.append(folder / name)
         _move(moving, folder, MANIFEST)
     for path in paths:
         if path.name != MANIFEST or path.parent != moving:
@@ -142,11 +144,15 @@ def _move(moving: Path, folder: Path, name: str) -> None:
     os.replace(moving / name, target)
 
 
-def removed_since() -> tuple[Path, ...]:
-    """Files of earlier runs that this process removed since this was asked last."""
-    found = tuple(_removed)
-    _removed.clear()
-    return found
+@contextmanager
+def removals() -> Iterator[list[Path]]:
+    """The files of earlier runs that are removed as long as this lasts."""
+    found = list[Path]()
+    before = _removed.set(found)
+    try:
+        yield found
+    finally:
+        _removed.reset(before)
 
 
 def _remove(folder: Path, name: str, sha256: str) -> bool:
