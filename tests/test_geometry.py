@@ -228,8 +228,10 @@ def test_rounding_does_not_choose_the_camera_of_a_chart() -> None:
     lines = PlueckerLines.through(normal(n, 3, seed=31), normal(n, 3, seed=32))
     cameras = normal(2 * n, 3, seed=33)
     chart = LineChart.about_cameras(lines, cameras, torch.arange(n).repeat(2))
-    foot = lines.closest_point(cameras[n:])
-    towards = torch.nn.functional.normalize(cameras[n:] - foot, dim=-1)
+    far = lines.distance_to(cameras[:n]) > lines.distance_to(cameras[n:])
+    farther = torch.where(far[:, None], cameras[:n], cameras[n:])
+    foot = lines.closest_point(farther)
+    towards = torch.nn.functional.normalize(farther - foot, dim=-1)
     torch.testing.assert_close(torch.nn.functional.normalize(chart.centre - foot, dim=-1), towards, rtol=0, atol=1e-9)
 
 

@@ -52,15 +52,18 @@ class LineChart:
         """The chart in which to adjust n lines seen from k camera centres, `track` the line of each; phi starts at 45 degrees.
 
         rho is the median distance of a line's cameras; c lies at that distance from the line, straight out from it towards the
-        camera whose distance is nearest to the median. NaN for a line without a camera or through that camera.
+        camera whose distance is nearest to the median, of two the larger one. NaN for a line without a camera or through
+        that camera.
         """
         distance = lines[track].distance_to(centres)
         scale = weighted_median_by_group(distance, torch.ones_like(distance), track, len(lines))
         mismatch = (distance - scale[track]).abs()
         least = torch.full_like(scale, torch.inf).scatter_reduce(0, track, mismatch, "amin")
-        # Of two cameras beside the median, which are equally near but for rounding, the last: without a rule their last digits
-        # would choose the chart, or the thread of torch that writes last.
-        nearest = torch.nonzero(mismatch <= (least + _ROUNDING * scale)[track]).squeeze(-1)
+        # Two cameras beside the median are equally near to it but for rounding: their last digits would choose the chart. It is
+        # about the farther one, and of those as far the last, not the one that a thread of torch writes last.
+        rounding = _ROUNDING * scale
+        beside = (mismatch <= (least + rounding)[track]) & (distance >= (scale - rounding)[track])
+        nearest = torch.nonzero(beside).squeeze(-1)
         row = torch.full_like(scale, len(track), dtype=torch.int64).scatter_reduce(
             0, track[nearest], nearest, "amax", include_self=False
         )
