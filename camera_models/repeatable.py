@@ -7,6 +7,7 @@ From 32768 numbers on torch sums them all in as many parts as it has threads. Su
 not divided.
 """
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -19,4 +20,8 @@ def least_squares(matrix: Float[Tensor, "*batch n p"], right: Float[Tensor, "*ba
 
 def total(values: Float[Tensor, "*shape"]) -> float:
     """The sum of all values."""
-    return float(values.detach().numpy().sum() if values.device.type == "cpu" else values.sum())
+    if values.device.type != "cpu":
+        return float(values.sum())
+    # Infinite values of both signs, as of what observations leave open, add up to NaN without a word, as torch has it.
+    with np.errstate(invalid="ignore"):
+        return float(values.detach().numpy().sum())

@@ -57,3 +57,8 @@ def test_sums_are_right_and_the_same_on_any_number_of_threads() -> None:
         torch.set_num_threads(threads)
     assert len(set(found)) == 1
     assert abs(found[0] / math.fsum(values.flatten().tolist()) - 1) < 1e-14
+
+
+def test_infinite_values_of_both_signs_add_up_to_nan_without_a_word() -> None:
+    """Of what observations leave open; a warning is an error in tests."""
+    assert math.isnan(total(torch.tensor([math.inf, 1.0, -math.inf], dtype=torch.float64)))
