@@ -174,8 +174,8 @@ class ImagePoses(Typed):
     cam_from_world: Pose
     cameras: tuple[str, ...] | None = None
     covariance: Float[np.ndarray, "n 6 6"] | None = None
-    """Of the left perturbation (rotation_rad, translation_m) of each pose, in the gauge the adjustment states; NaN where nothing
-    tells how well a pose is known."""
+    """Of the left perturbation (rotation_rad, translation_m) of each pose, in the frame that they were adjusted in
+    (`adjustment/datum.py`); NaN where nothing tells how well a pose is known."""
     frames: tuple[str, ...] | None = None
     """Instant of each photo of a rig."""
 

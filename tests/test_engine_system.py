@@ -60,6 +60,30 @@ def test_system_is_solved_on_its_constraint(monkeypatch: pytest.MonkeyPatch, nar
     assert abs(found.weakest()[0] / values[0] - 1) < 1e-4
 
 
+@pytest.mark.parametrize("null", [1, 4])
+def test_covariances_are_on_the_constraint_of_a_datum(null: int) -> None:
+    pattern, blocks, dense, gauge = system(null)
+    rng = np.random.default_rng(2)
+    roots = rng.standard_normal((KEPT, DIM, DIM))
+    known = roots.transpose(0, 2, 1) @ roots
+    found = ReducedSystem.of(pattern, blocks, gauge, 0.0)
+    assert found is not None
+    found = found.in_datum(known)
+    constraint = np.einsum("bij,bjg->big", known, gauge.reshape(KEPT, DIM, null)).reshape(-1, null)
+    complement = np.linalg.qr(constraint, mode="complete")[0][:, null:]
+    inverse = complement @ np.linalg.inv(complement.T @ dense @ complement) @ complement.T
+    right = rng.standard_normal((len(dense), 2))
+    np.testing.assert_allclose(found.solve(right), inverse @ right, rtol=1e-8, atol=1e-10 * np.abs(inverse).max())
+    cells = inverse.reshape(KEPT, DIM, KEPT, DIM).transpose(0, 2, 1, 3)[pattern.row, pattern.column]
+    np.testing.assert_allclose(found.covariance_blocks(), cells, rtol=1e-8, atol=1e-9 * np.abs(inverse).max())
+    inner = rng.standard_normal(dense.shape)
+    inner = inner @ inner.T
+    own = np.ascontiguousarray(inner.reshape(KEPT, DIM, KEPT, DIM).transpose(0, 2, 1, 3)[pattern.row, pattern.column])
+    both = inverse @ sparse_matrix(pattern, own).toarray() @ inverse
+    cells = both.reshape(KEPT, DIM, KEPT, DIM).transpose(0, 2, 1, 3)[pattern.row, pattern.column]
+    np.testing.assert_allclose(found.conjugated_blocks(own), cells, rtol=1e-8, atol=1e-9 * np.abs(both).max())
+
+
 def test_superlu_gives_what_the_band_gives() -> None:
     pattern, blocks, dense, _ = system(0)
     np.testing.assert_allclose(sparse_matrix(pattern, blocks).toarray(), dense, rtol=1e-14, atol=1e-14)

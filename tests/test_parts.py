@@ -18,6 +18,7 @@ from engine_scenes import Row, row
 from camera_models import InputError
 from omnilines.adjustment import memory
 from omnilines.adjustment.adjusted import Adjusted
+from omnilines.adjustment.datum import known_of_poses
 from omnilines.adjustment.engine import LineEngine
 from omnilines.adjustment.engine_layout import layout
 from omnilines.adjustment.engine_solution import LineSolution, line_solution
@@ -97,7 +98,9 @@ def both(given: Row, most: int, loss: Loss, held: tuple[int, ...]) -> tuple[Line
     division = divided(problem, whole.layout, most)
     assert division is not None
     parts = PartsEngine(problem, state, loss, division)
-    return line_solution(whole, whole.minimise(state, 50)), parts_solution(parts, parts.minimise(state, 50))
+    one, other = whole.minimise(state, 50), parts.minimise(state, 50)
+    known = [known_of_poses(problem, found.state) for found in (one, other)]
+    return line_solution(whole, one, known=known[0]), parts_solution(parts, other, known=known[1])
 
 
 def assert_equal(whole: LineSolution, parts: PartsSolution) -> None:

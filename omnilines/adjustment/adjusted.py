@@ -28,7 +28,7 @@ class Adjusted:
     line_covariance: Float[Tensor, "t 4 4"]
     """In the chart of `state.chart`; NaN for tracks without observations, zero for held lines."""
     pose_covariance: Float[Tensor, "images 6 6"]
-    """Of the left perturbation of the pose of every photo, in the gauge of the adjustment; zero for held poses."""
+    """Of the left perturbation of the pose of every photo, in the frame of `datum.py`; zero for held poses."""
     noise: Noise
     """Of the end points: what is stated, what the residuals say, and which of the two all covariances are for."""
     whitened: Solution[LinesAndPoses] | LineSolution | PartsSolution

@@ -21,10 +21,9 @@ from omnilines.progress import in_shares
 
 @dataclass(frozen=True)
 class LineSolution:
-    """As `least_squares.Solution`, block-sparse; covariances are in the gauge of the problem."""
+    """As `least_squares.Solution`, block-sparse."""
 
     end: Minimum[LinesAndPoses]
-    gauge: Float[Tensor, "k g"]
     smallest_eigenvalue: float
     weakest_direction: Float[Tensor, " k"]
     engine: LineEngine
@@ -138,23 +137,28 @@ class LineSolution:
 
 
 def line_solution(
-    engine: LineEngine, found: Minimum[LinesAndPoses], scatter: Float[Tensor, "n 2 2"] | None = None, unit: float = 1.0
+    engine: LineEngine,
+    found: Minimum[LinesAndPoses],
+    scatter: Float[Tensor, "n 2 2"] | None = None,
+    unit: float = 1.0,
+    known: Float[Tensor, "free 6 6"] | None = None,
 ) -> LineSolution:
     """What the undamped equations say at the end, for residuals with the covariance `scatter`, or of the variance `unit`,
-    which is that of the prior in either case."""
+    which is that of the prior in either case. The frame that covariances are in weighs every free frame by what is `known` of it,
+    and all alike without."""
     reduction = engine.reduce(found.state, 0.0)
     smallest, direction = 0.0, np.zeros(6 * len(engine.problem.free))
     if reduction is not None and not len(direction):
         smallest = 1.0
     elif reduction is not None and reduction.system is not None:
         smallest, direction = reduction.system.weakest()
+        if known is not None:
+            reduction = replace(reduction, system=reduction.system.in_datum(known.numpy()[engine.layout.rank]))
     outcome = Outcome.DEGENERATE if smallest < LEAST_EIGENVALUE else found.outcome
-    gauge = engine.problem.gauge(found.state)
     weakest = torch.from_numpy(engine.layout.back(direction.reshape(-1, 6)).flatten())
     end = replace(found, outcome=outcome)
     return LineSolution(
         end=end,
-        gauge=gauge,
         smallest_eigenvalue=smallest,
         weakest_direction=weakest,
         engine=engine,

@@ -6,15 +6,45 @@ the gauge. One held pose leaves the growth about it; so do two at one place. One
 about it and a growth, two that are parallel the shift along them, and two that meet the growth about the place where they meet.
 """
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from camera_models.pose import hat
+from camera_models.pose import Pose, hat, rotation_from_vector
 from omnilines.geometry.line import PlueckerLines
 
 OPEN = 1e-9
 """Motion of what is held, over that of the cameras, below which a similarity does not move it."""
+
+
+@dataclass(frozen=True)
+class Similarities:
+    """Motions of a scene about an origin, as columns (w, v / unit, s)."""
+
+    origin: Float[Tensor, "3"]
+    unit_m: float
+    columns: Float[Tensor, "7 g"]
+
+    def by_step(self, poses: Pose) -> Float[Tensor, "f6 g"]:
+        """What each does to the left perturbation of poses."""
+        # World X' = X + w x X + v + s X: the pose turns by -R w and its centre moves by dC, which is -R dC in delta.
+        turn, _, _ = self.columns.split([3, 3, 1])
+        moved = self._motion(poses.centre)
+        return -torch.cat([poses.rotation @ turn, poses.rotation @ moved], 1).flatten(0, 1)
+
+    def after(self, much: Float[Tensor, " g"]) -> tuple[float, Pose]:
+        """The finite one of which this is so much to first order: X' = s R X + t, as s and (R, t)."""
+        turn, shift, growth = (self.columns @ much).split([3, 3, 1])
+        scale, rotation = float(growth.exp()), rotation_from_vector(turn)
+        return scale, Pose(rotation, self.origin + self.unit_m * shift - scale * (rotation @ self.origin))
+
+    def _motion(self, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 g"]:
+        """Of points of the world."""
+        turn, shift, growth = self.columns.split([3, 3, 1])
+        arm = points - self.origin
+        return -hat(arm) @ turn + self.unit_m * shift + arm[..., None] * growth
 
 
 def open_similarities(

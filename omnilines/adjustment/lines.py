@@ -13,7 +13,9 @@ from camera_models.pose import Pose, hat
 from camera_models.wording import rounded
 from omnilines.adjustment.adjusted import Adjusted, described
 from omnilines.adjustment.arcs import MatchedArcs
+from omnilines.adjustment.datum import framed
 from omnilines.adjustment.engine import is_compiled
+from omnilines.adjustment.information import pose_information
 from omnilines.adjustment.memory import laid_out_to_fit
 from omnilines.adjustment.minimum import line_minimum
 from omnilines.adjustment.options import AdjustmentOptions
@@ -22,7 +24,7 @@ from omnilines.adjustment.parts import require_divisible, why_in_one_piece
 from omnilines.adjustment.parts_engine import Workers
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.problem import Freedom, LineProblem
-from omnilines.adjustment.state import AT_ONCE, LinesAndPoses, Rig
+from omnilines.adjustment.state import LinesAndPoses, Rig
 from omnilines.adjustment.uncertainty import Task, Uncertain, uncertainty
 from omnilines.costs import WHITENED
 from omnilines.geometry.line import PlueckerLines, weighted_median_by_group
@@ -67,6 +69,8 @@ def adjust_lines(
     its frames, and `held` and `prior` are those of frames. `models` are refined where given: all cameras of the calibration, in
     its order; the arcs must know their pixels. A `prior` counts in standard deviations of itself, and the arcs in those of their
     noise, whatever the cost. Its unit is that of the residuals of the cost, as is the scale of the `loss`.
+
+    Where nothing holds the scene, it and its covariances are in the frame of the poses it starts from (`datum.py`).
 
     Covariances are those of the estimate that the cost and the loss give (`weighting.py`), for the stated noise of the end
     points. Where none is stated, or the residuals are larger than it allows (chi-square), they are for the noise
@@ -116,7 +120,8 @@ def adjust_lines(
     )
 
     def minimum(start: LinesAndPoses, weighed: PosePrior | None) -> Minimum[LinesAndPoses]:
-        return line_minimum(task, start, weighed, max_iterations, callback, place=place)
+        found = line_minimum(task, start, weighed, max_iterations, callback, place=place)
+        return replace(found, state=framed(LineProblem(arcs, WHITENED, freedom, found.state, weighed), found.state, state))
 
     if prior is None or bool(fixed.all()):
         found = described(uncertainty(task, minimum(state, None)))
@@ -228,11 +233,7 @@ def lost_frames(arcs: MatchedArcs, state: LinesAndPoses, weak_share: float, leve
     One or two arcs tell nothing, parallel ones little. Frames without an arc are none of them."""
     frames = len(state.rig_from_world)
     frame = arcs.image if state.rig is None else state.rig.frame[arcs.image]
-    everywhere = Freedom(torch.zeros(frames, dtype=torch.bool))
-    normal = torch.zeros(frames, 6, 6, dtype=torch.float64)
-    for rows in torch.arange(len(arcs)).split(AT_ONCE):
-        by_frame = torch.nan_to_num(LineProblem(arcs.rows(rows), WHITENED, everywhere, state).linearise(state).by_kept[0])
-        normal.index_add_(0, frame[rows], by_frame.mT @ by_frame)
+    normal = pose_information(arcs, state)[0]
     lost = _undetermined(normal)
     known = torch.where(lost[:, None, None], torch.eye(6, dtype=torch.float64), normal)
     sigma = level * torch.linalg.inv(known).diagonal(dim1=1, dim2=2).sqrt()

@@ -87,6 +87,8 @@ class PartAt:
     damping: float
     gauge: Float[np.ndarray, "k g"]
     """B of its free frames."""
+    datum: Float[np.ndarray, "k g"]
+    """C of them."""
 
 
 @dataclass(frozen=True)
@@ -115,10 +117,10 @@ class PartCovariance:
     at: PartAt
     shared: Float[np.ndarray, "s s"]
     """Q of the shared frames."""
-    solved_gauge: Float[np.ndarray, "s g"]
-    """Q B of them."""
+    solved_datum: Float[np.ndarray, "s g"]
+    """Q C of them."""
     products: Float[np.ndarray, "g g"]
-    """B' Q B of all frames."""
+    """C' Q C of all frames."""
     lines: Int[np.ndarray, " b"] | None = None
     """Of which the joint covariance is asked for, by their numbers in the part."""
 
@@ -152,7 +154,7 @@ def reduce_part(at: PartAt) -> Reduced | None:
         return None
     _store(_sums_file(at.file), (solved, total))
     size = 6 * part.inner
-    right = np.concatenate([total.gradient[:, :6].reshape(-1, 1), at.gauge], 1)
+    right = np.concatenate([total.gradient[:, :6].reshape(-1, 1), at.datum], 1)
     beyond = right[size:].copy()
     beyond[:, 1:] = 0.0
     follow = split.system.solve(np.concatenate([right[:size], split.between], 1))
@@ -174,7 +176,7 @@ def follow_part(task: PartStep) -> Followed | None:
     split = part.split(total, at.damping)
     assert split is not None, "the sums were kept, so that they could be solved"
     passes, size = part.passes, 6 * part.inner
-    right = total.gradient[:, :6].ravel()[:size] - at.gauge[:size] @ shared.along - split.between @ shared.solved
+    right = total.gradient[:, :6].ravel()[:size] - at.datum[:size] @ shared.along - split.between @ shared.solved
     inner = split.system.solve(right[:, None])[:, 0]
     kept = np.concatenate([inner, shared.solved]) - at.gauge @ shared.left
     if not np.isfinite(kept).all():
@@ -243,10 +245,10 @@ def line_roots(solved: LineBlocks, lines: Int[np.ndarray, " b"]) -> Float[np.nda
 def _of_gauge(
     task: PartCovariance, split: Split, gains: Float[np.ndarray, "i s"]
 ) -> tuple[Float[np.ndarray, "k g"], Float[np.ndarray, "k g"]]:
-    """V = B and W = Q B - B (B' Q B) / 2 of its free frames."""
+    """V = B and W = Q C - B (C' Q C) / 2 of its free frames."""
     gauge, size = task.at.gauge, len(gains)
-    inner = split.system.solve(np.ascontiguousarray(gauge[:size])) - gains @ task.solved_gauge
-    return gauge, np.concatenate([inner, task.solved_gauge]) - 0.5 * gauge @ task.products
+    inner = split.system.solve(np.ascontiguousarray(task.at.datum[:size])) - gains @ task.solved_datum
+    return gauge, np.concatenate([inner, task.solved_datum]) - 0.5 * gauge @ task.products
 
 
 def _reduced(at: PartAt) -> tuple[PartPasses, LineBlocks, Split, Float[np.ndarray, "i s"]]:

@@ -27,6 +27,7 @@ from omnilines.adjustment.parts import Division, problem_of
 from omnilines.adjustment.problem import LineProblem
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, minimise
+from omnilines.least_squares.datum import weighed
 from omnilines.least_squares.dense import LEAST_EIGENVALUE
 from omnilines.least_squares.reduced_system import orthonormal
 from omnilines.least_squares.separators import SharedStep, SharedSystem, blocks_of
@@ -100,9 +101,8 @@ class PartsEngine:
 
     def cost(self, state: LinesAndPoses) -> float:
         """Sum of the loss."""
-        return sum(
-            self.each(tasks.cost_of_part, self._at(state, 0.0, self._of_frames(np.zeros((6 * len(self.problem.free), 0)))))
-        )
+        none = self._of_frames(np.zeros((6 * len(self.problem.free), 0)))
+        return sum(self.each(tasks.cost_of_part, self._at(state, 0.0, none, none)))
 
     def minimise(
         self, state: LinesAndPoses, max_iterations: int, callback: Callable[[Progress], None] | None = None
@@ -135,25 +135,24 @@ class PartsEngine:
         chart = replace(state.chart, centre=centre, S=turn, phi=phi)
         return Step(replace(state, rig_from_world=moved, chart=chart), cost, promised)
 
-    def reduce(self, state: LinesAndPoses, damping: float) -> tuple[list[PartAt], SharedSystem] | None:
-        """Every part at a state, and the system of what they share; None where anything is not determined."""
-        gauge = self._gauge(state)
-        if gauge is None:
+    def reduce(
+        self, state: LinesAndPoses, damping: float, known: Float[Tensor, "free 6 6"] | None = None
+    ) -> tuple[list[PartAt], SharedSystem] | None:
+        """Every part at a state, and the system of what they share; None where anything is not determined. The
+        frame weighs every free photo by what is `known` of it, and all alike without (`least_squares/datum.py`)."""
+        basis = orthonormal(self.problem.gauge(state).numpy())
+        if basis is None:
             return None
-        at = self._at(state, damping, gauge)
+        gauge, datum = self._of_frames(basis), self._of_frames(basis if known is None else weighed(basis, known.numpy()))
+        at = self._at(state, damping, gauge, datum)
         reduced = [found for found in self.each(tasks.reduce_part, at) if found is not None]
         if len(reduced) < len(at):
             return None
-        rows = gauge.reshape(len(state.rig_from_world), 6, gauge.shape[1])
-        shared = rows[self.division.shared].reshape(6 * len(self.division.shared), gauge.shape[1])
+        shared = torch.from_numpy(self.division.shared)
         touched = [part.shared for part in self._places]
-        system = SharedSystem.of(self.division.pattern, touched, reduced, shared, damping)
+        of_shared = self._rows(gauge, shared), self._rows(datum, shared)
+        system = SharedSystem.of(self.division.pattern, touched, reduced, *of_shared, damping)
         return None if system is None else (at, system)
-
-    def _gauge(self, state: LinesAndPoses) -> Float[np.ndarray, "k g"] | None:
-        """An orthonormal basis of the gauge, six rows for each frame of the scene."""
-        basis = orthonormal(self.problem.gauge(state).numpy())
-        return None if basis is None else self._of_frames(basis)
 
     def _of_frames(self, columns: Float[np.ndarray, "k g"]) -> Float[np.ndarray, "f6 g"]:
         """Columns of the free frames, with rows for all frames of the scene."""
@@ -161,15 +160,23 @@ class PartsEngine:
         whole[self.problem.free.numpy()] = columns.reshape(len(self.problem.free), 6, columns.shape[1])
         return whole.reshape(len(whole) * 6, columns.shape[1])
 
-    def _at(self, state: LinesAndPoses, damping: float, gauge: Float[np.ndarray, "k g"]) -> list[PartAt]:
-        rows = gauge.reshape(len(state.rig_from_world), 6, gauge.shape[1])
+    @staticmethod
+    def _rows(columns: Float[np.ndarray, "f6 g"], frames: Int[Tensor, " k"]) -> Float[np.ndarray, "k6 g"]:
+        """Of some frames."""
+        size = columns.shape[1]
+        return columns.reshape(len(columns) // 6, 6, size)[frames.numpy()].reshape(6 * len(frames), size)
+
+    def _at(
+        self, state: LinesAndPoses, damping: float, gauge: Float[np.ndarray, "f6 g"], datum: Float[np.ndarray, "f6 g"]
+    ) -> list[PartAt]:
         return [
             PartAt(
                 part.file,
                 state.rig_from_world[part.frames],
                 state.chart[part.tracks],
                 damping,
-                rows[part.free.numpy()].reshape(6 * len(part.free), gauge.shape[1]),
+                self._rows(gauge, part.free),
+                self._rows(datum, part.free),
             )
             for part in self._places
         ]
@@ -270,15 +277,17 @@ class PartsSolution:
             spread = np.empty((len(own), 6, len(own), 6))
             spread[j, :, i] = blocks[blocks_of(pattern, own, i, j)].transpose(0, 2, 1)
             spread[i, :, j] = blocks[blocks_of(pattern, own, i, j)]
-            by_gauge = solved[own].reshape(6 * len(own), solved.shape[2])
+            by_datum = solved[own].reshape(6 * len(own), solved.shape[2])
             dense = spread.reshape(6 * len(own), -1)
-            found.append(PartCovariance(self.at[k], dense, by_gauge, system.products[1:, 1:], asked.get(k)))
+            found.append(PartCovariance(self.at[k], dense, by_datum, system.products[1:, 1:], asked.get(k)))
         return found
 
 
-def parts_solution(engine: PartsEngine, found: Minimum[LinesAndPoses], unit: float = 1.0) -> PartsSolution:
-    """What the undamped equations say at the end, for residuals of the variance `unit`."""
-    reduction = engine.reduce(found.state, 0.0)
+def parts_solution(
+    engine: PartsEngine, found: Minimum[LinesAndPoses], unit: float = 1.0, known: Float[Tensor, "free 6 6"] | None = None
+) -> PartsSolution:
+    """What the undamped equations say at the end, for residuals of the variance `unit`; `known` as in `PartsEngine.reduce`."""
+    reduction = engine.reduce(found.state, 0.0, known)
     if reduction is None:
         return PartsSolution(replace(found, outcome=Outcome.DEGENERATE), engine, (), None, 0.0, unit)
     at, system = reduction

@@ -10,7 +10,7 @@ from torch import Tensor
 from camera_models import InputError
 from camera_models.pose import adjoint
 from omnilines.adjustment.arcs import MatchedArcs
-from omnilines.adjustment.gauge import open_similarities
+from omnilines.adjustment.gauge import Similarities, open_similarities
 from omnilines.adjustment.intrinsics import distance_by_parameters, weights_to_hold
 from omnilines.adjustment.prior import PosePrior
 from omnilines.adjustment.state import LinesAndPoses, moved_poses
@@ -35,8 +35,8 @@ class LineProblem:
     """Kept are, in this order: poses of free frames (6 each), extrinsics of rig cameras (6 each), intrinsics of each camera.
 
     With all poses free, the similarity that bearings leave open is fixed by constraints on the step: the poses neither shift,
-    turn nor scale as a whole. Held poses and lines leave less of it open (`gauge.py`). A held rig with a baseline has a scale; a
-    prior leaves nothing open.
+    turn nor scale as a whole (in which frame a scene and its covariances are in the end is the affair of `datum.py`). Held poses
+    and lines leave less of it open (`gauge.py`). A held rig with a baseline has a scale; a prior leaves nothing open.
     """
 
     def __init__(
@@ -170,11 +170,11 @@ class LineProblem:
         """Whether nothing but held poses can give the scene a scale: no prior, no held line and no rig with a baseline."""
         return self.prior is None and not bool(self._lines_held.any()) and self._scale_is_free(state)
 
-    def gauge(self, state: LinesAndPoses) -> Float[Tensor, "k g"]:
-        """Columns of the kept step for a common turn, shift and scale of the scene, about which the residuals say nothing."""
-        rotation, centre = state.rig_from_world.rotation[self.free], state.rig_from_world.centre
+    def similarities(self, state: LinesAndPoses) -> Similarities:
+        """A common turn, shift and scale of the scene, as far as the residuals and what is held say nothing about them."""
+        centre = state.rig_from_world.centre
         if not len(self.free) or self.prior is not None:
-            return rotation.new_zeros(self.structure.kept_size, 0)
+            return Similarities(centre.new_zeros(3), 1.0, centre.new_zeros(7, 0))
         # A held pose or line anchors the scene only where it takes part.
         fixed = torch.nonzero(self.freedom.held_frames & self.observing).flatten()
         lines = state.chart[torch.nonzero(self._lines_held).flatten()].lines()
@@ -182,17 +182,17 @@ class LineProblem:
         origin = about[0] if len(about) else centre[self.free].mean(0)
         arm = centre[self.free] - origin
         unit = float(arm.norm(dim=-1).max()) or 1.0
-        generators = open_similarities(origin, unit, centre[fixed], lines, not self._scale_is_free(state))
-        turn, shift, growth = generators.split([3, 3, 1])
-        # World X' = X + w x X + v + s X: the pose turns by -R w and its centre moves by dC, which is -R dC in delta.
-        moved = torch.linalg.cross(turn.mT[None].expand(len(arm), -1, -1), arm[:, None].expand(-1, turn.shape[1], -1)).mT
-        moved = moved + unit * shift + arm[..., None] * growth
-        columns = self._of_frames(-torch.cat([rotation @ turn, rotation @ moved], 1).flatten(0, 1))
+        return Similarities(origin, unit, open_similarities(origin, unit, centre[fixed], lines, not self._scale_is_free(state)))
+
+    def gauge(self, state: LinesAndPoses) -> Float[Tensor, "k g"]:
+        """What the similarities that are open do to the kept step."""
+        found = self.similarities(state)
+        columns = self._of_frames(found.by_step(state.rig_from_world[self.free]))
         if len(self.rig_cameras) and state.rig is not None:
             baseline = state.rig.cam_from_rig.translation[self.rig_cameras]
             low = 6 * len(self.free)
             grown = torch.cat([torch.zeros_like(baseline), baseline], -1).flatten()
-            columns[low : low + len(grown)] = grown[:, None] * growth
+            columns[low : low + len(grown)] = grown[:, None] * found.columns[6:]
         return columns
 
     def _of_frames(self, rows: Float[Tensor, "f6 g"]) -> Float[Tensor, "k g"]:

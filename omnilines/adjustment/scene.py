@@ -202,9 +202,8 @@ def _told_photos(arcs: MatchedArcs, state: LinesAndPoses, refined_rig: bool) -> 
 
 
 def _lost_photos(arcs: MatchedArcs, adjusted: Adjusted, prior: PosePrior | None, weak_share: float) -> Bool[Tensor, " images"]:
-    """Photos whose arcs hardly tell where they were taken, nor a prior: one, however little it says, would leave all others and
-    the lines nearly as uncertain, or without covariances, as these are in the frame of all poses as a whole. None where the other
-    photos have no line in common."""
+    """Photos whose arcs hardly tell where they were taken, nor a prior: one that its arcs leave undetermined would leave all
+    others and the lines without covariances. None where the other photos have no line in common."""
     state, level = adjusted.state, adjusted.noise.level
     frames = lost_frames(arcs, state, weak_share, level if math.isfinite(level) else 1.0)
     if prior is not None:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from camera_models.repeatable import total
 from omnilines.adjustment.arcs import MatchedArcs
+from omnilines.adjustment.datum import constraint, known_of_poses
 from omnilines.adjustment.engine import LineEngine
 from omnilines.adjustment.engine_layout import Layout
 from omnilines.adjustment.engine_solution import LineSolution, line_solution
@@ -23,6 +24,7 @@ from omnilines.adjustment.state import LinesAndPoses
 from omnilines.adjustment.weighting import Weighting, weighting
 from omnilines.costs import WHITENED, cost_function
 from omnilines.least_squares import Linearisation, Loss, Minimum, Solution, solve
+from omnilines.least_squares.dense import constrained_inverse
 from omnilines.least_squares.sandwich import Sandwich
 from omnilines.least_squares.schur import eliminated_covariance, joint_eliminated_covariance, normal_equations
 
@@ -78,6 +80,8 @@ class GeneralSolution(Solution[LinesAndPoses]):
     """The general engine's normal equations, for residuals of unequal variance, or of the variance `unit`, which is that of the
     prior in either case."""
 
+    datum: Float[Tensor, "k g"]
+    """C of the constraint C' dk = 0 that covariances are for (`least_squares/datum.py`)."""
     unit: float = 1.0
     sandwich: Sandwich | None = None
     by_prior: Float[Tensor, "k k"] | None = None
@@ -91,25 +95,29 @@ class GeneralSolution(Solution[LinesAndPoses]):
 
     def prior_share(self) -> float:
         """Parameters that the prior determines, tr(H^-1 P'P)."""
-        return 0.0 if self.by_prior is None else total(super().kept_covariance() * self.by_prior)
+        return 0.0 if self.by_prior is None else total(self.inverse() * self.by_prior)
+
+    def inverse(self) -> Float[Tensor, "k k"]:
+        """S^-1 on the constraint."""
+        return constrained_inverse(self.reduced.matrix, self.datum)
 
     def kept_covariance(self) -> Float[Tensor, "k k"]:
         """Of frames, rig and cameras together."""
-        return self._with_prior.kept if self.sandwich is not None else self.unit * super().kept_covariance()
+        return self._with_prior.kept if self.sandwich is not None else self.unit * self.inverse()
 
     def eliminated_covariance(self) -> Float[Tensor, "count e e"]:
         """Of every line."""
         return (
             self._with_prior.eliminated()
             if self.sandwich is not None
-            else self.unit * eliminated_covariance(self.reduced, super().kept_covariance())
+            else self.unit * eliminated_covariance(self.reduced, self.inverse())
         )
 
     def joint_eliminated_covariance(self, blocks: Int[Tensor, " b"]) -> Float[Tensor, "be be"]:
         """Of some lines together."""
         if self.sandwich is not None:
             return self._with_prior.joint(blocks)
-        return self.unit * joint_eliminated_covariance(self.reduced, super().kept_covariance(), blocks)
+        return self.unit * joint_eliminated_covariance(self.reduced, self.inverse(), blocks)
 
     @cached_property
     def _with_prior(self) -> Sandwich:
@@ -194,14 +202,16 @@ def _equations(
 ) -> tuple[LineProblem, GeneralSolution | LineSolution | PartsSolution]:
     """The weighted equations at a state."""
     problem = LineProblem(task.arcs, WHITENED, task.freedom, state, prior, mix=weights.mix)
+    known = known_of_poses(problem, state)
     if task.division is not None:
         assert weights.scatter is None, "the whitened cost weighs arcs by their noise"
         parts = PartsEngine(problem, state, Loss(), task.division, task.workers)
-        return problem, parts_solution(parts, parts.minimise(state, 0), weights.unit)
+        return problem, parts_solution(parts, parts.minimise(state, 0), weights.unit, known)
     if task.layout is not None:
         engine = LineEngine(problem, Loss(), task.layout)
-        return problem, line_solution(engine, engine.minimise(state, 0), weights.scatter, weights.unit)
-    solution = GeneralSolution(**vars(solve(problem, state, max_iterations=0)), unit=weights.unit)
+        return problem, line_solution(engine, engine.minimise(state, 0), weights.scatter, weights.unit, known)
+    plain = solve(problem, state, max_iterations=0)
+    solution = GeneralSolution(**vars(plain), unit=weights.unit, datum=constraint(problem, state, known))
     at = problem.linearise(state)
     if at.prior is not None:
         solution = replace(solution, by_prior=at.prior.by_kept.mT @ at.prior.by_kept)
@@ -211,8 +221,7 @@ def _equations(
     root = vectors @ torch.diag_embed(values.clamp_min(0).sqrt()) @ vectors.mT
     spread = Linearisation(at.residual, root @ at.by_eliminated, tuple(root @ by_kept for by_kept in at.by_kept))
     scores = normal_equations(problem.structure, spread, torch.ones(len(task.arcs), dtype=root.dtype))
-    inverse = Solution.kept_covariance(solution)
-    return problem, replace(solution, sandwich=Sandwich(solution.reduced, inverse, scores))
+    return problem, replace(solution, sandwich=Sandwich(solution.reduced, solution.inverse(), scores))
 
 
 def _parameters(problem: LineProblem, state: LinesAndPoses) -> int:

@@ -6,10 +6,11 @@ SuperLU finds an order of its own. Neither takes the constraint's dense rows, so
     x = S^-1 g - Y (B'Y)^-1 B' S^-1 g.
 
 Undamped, S is singular along B. As many coordinates as B has columns are then held by a term on their diagonal, which leaves them
-at zero, and x is the solution found minus its part along B, as S B = 0.
+at zero, and x is the solution found minus its part along B, as S B = 0. What that part is may be told by another constraint,
+C' dk = 0 with C'B = I (`datum.py`).
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -19,6 +20,7 @@ import scipy.sparse.linalg
 from jaxtyping import Float
 
 from omnilines.least_squares.band import BandFactor, band_width
+from omnilines.least_squares.datum import weighed
 from omnilines.least_squares.pattern import PairPattern
 from omnilines.least_squares.selected_inverse import (
     elimination_pattern,
@@ -118,7 +120,9 @@ class ReducedSystem:
     gauge: Float[np.ndarray, "n g"]
     factor: Factor
     along: Float[np.ndarray, "n g"] | None = field(repr=False)
-    """Y (B'Y)^-1; None where S is held along the gauge by its diagonal."""
+    """Y (C'Y)^-1 for Y = S^-1 C; None where S is held along the gauge by its diagonal."""
+    datum: Float[np.ndarray, "n g"] = field(repr=False)
+    """C of the constraint, with C'B = I."""
 
     @staticmethod
     def of(
@@ -133,7 +137,7 @@ class ReducedSystem:
             if factor is not None:
                 along = factor.solve(basis) if basis.shape[1] else basis
                 along = np.einsum("ng,gh->nh", along, np.linalg.inv(np.einsum("ng,nh->gh", basis, along)))
-                return ReducedSystem(pattern, blocks, basis, factor, along)
+                return ReducedSystem(pattern, blocks, basis, factor, along, basis)
         if basis.shape[1] == 0:
             return None
         held = blocks.copy()
@@ -142,7 +146,14 @@ class ReducedSystem:
         dim = blocks.shape[1]
         held[pattern.diagonal[pins // dim], pins % dim, pins % dim] *= 2.0
         factor = _factor(pattern, held)
-        return None if factor is None else ReducedSystem(pattern, blocks, basis, factor, None)
+        return None if factor is None else ReducedSystem(pattern, blocks, basis, factor, None, basis)
+
+    def in_datum(self, information: Float[np.ndarray, "kept d d"]) -> "ReducedSystem":
+        """The undamped system in the frame that weighs every kept block by what is known of it (`datum.py`)."""
+        if self.gauge.shape[1] == 0:
+            return self
+        assert self.along is None, "a damped system says nothing of what is left open"
+        return replace(self, datum=weighed(self.gauge, information))
 
     @property
     def size(self) -> int:
@@ -150,11 +161,11 @@ class ReducedSystem:
         return self.blocks.shape[1] * self.pattern.kept
 
     def solve(self, right: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n k"]:
-        """x with S x = b up to the constraint's forces, B' x = 0."""
+        """x with S x = b up to the constraint's forces, C' x = 0."""
         if self.along is None:
-            x = self.factor.solve(_without(right, self.gauge, self.gauge))
-            return _without(x, self.gauge, self.gauge)
-        return _without(self.factor.solve(right), self.along, self.gauge)
+            x = self.factor.solve(_without(right, self.datum, self.gauge))
+            return _without(x, self.gauge, self.datum)
+        return _without(self.factor.solve(right), self.along, self.datum)
 
     def covariance_blocks(self) -> Float[np.ndarray, "blocks d d"]:
         """The blocks of the constrained inverse that the pattern has."""
@@ -162,9 +173,9 @@ class ReducedSystem:
         found = self.factor.inverse_blocks(self.pattern, dim)
         if self.gauge.shape[1] == 0:
             return found
-        # (I - B B') Q (I - B B') of a held S, and Q - Y (B'Y)^-1 Y' of a definite one, both as Q - V W' - W V'.
-        solved = self.factor.solve(self.gauge)
-        inner = self.gauge.T @ solved
+        # (I - B C') Q (I - C B') of a held S, and Q - Y (C'Y)^-1 Y' of a definite one, both as Q - V W' - W V'.
+        solved = self.factor.solve(self.datum)
+        inner = self.datum.T @ solved
         left = self.gauge if self.along is None else solved
         right = solved - 0.5 * self.gauge @ inner if self.along is None else 0.5 * self.along
         left, right = (v.reshape(self.pattern.kept, dim, -1) for v in (left, right))

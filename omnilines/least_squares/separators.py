@@ -20,12 +20,13 @@ from omnilines.least_squares.reduced_system import ReducedSystem
 
 @dataclass(frozen=True)
 class Reduced:
-    """What a part says of its shared blocks; of its right sides the first is that of the equations, the others are the gauge."""
+    """What a part says of its shared blocks; of its right sides the first is that of the equations, the others are the C of the
+    constraint C' x = 0 on the gauge B, C'B = I."""
 
     information: Float[np.ndarray, "k k"]
     """T."""
     right: Float[np.ndarray, "k r"]
-    """h; of the gauge without that of the shared blocks themselves, which is no part's."""
+    """h; of C without that of the shared blocks themselves, which is no part's."""
     products: Float[np.ndarray, "r r"]
     """p."""
     weakest: float
@@ -34,10 +35,10 @@ class Reduced:
 
 @dataclass(frozen=True)
 class SharedStep:
-    """The step of the shared blocks, and what inner ones need to follow: x = S^-1 (R_0 - B a) - B b for the gauge B."""
+    """The step of the shared blocks, and what inner ones need to follow: x = S^-1 (R_0 - C a) - B b."""
 
     solved: Float[np.ndarray, " k"]
-    """S^-1 (R_0 - B a) of the shared blocks."""
+    """S^-1 (R_0 - C a) of the shared blocks."""
     along: Float[np.ndarray, " g"]
     """a."""
     left: Float[np.ndarray, " g"]
@@ -63,14 +64,15 @@ class SharedSystem:
         touched: Sequence[Int[np.ndarray, " _"]],
         reduced: Sequence[Reduced],
         gauge: Float[np.ndarray, "k g"],
+        datum: Float[np.ndarray, "k g"],
         damping: float,
     ) -> "SharedSystem | None":
-        """The system of what parts say of the shared blocks that each of them touches, ascending; None where it does not
-        determine these."""
+        """The system of what parts say of the shared blocks that each of them touches, ascending, with B and C of these; None
+        where it does not determine them."""
         dim = len(gauge) // pattern.kept
         blocks = np.zeros((len(pattern.row), dim, dim))
         right = np.zeros((pattern.kept, dim, 1 + gauge.shape[1]))
-        right[:, :, 1:] = gauge.reshape(pattern.kept, dim, gauge.shape[1])
+        right[:, :, 1:] = datum.reshape(pattern.kept, dim, datum.shape[1])
         for own, part in zip(touched, reduced, strict=True):
             i, j = np.triu_indices(len(own))
             information = part.information.reshape(len(own), dim, len(own), dim)
@@ -90,12 +92,12 @@ class SharedSystem:
         return self.system.along is None
 
     def step(self) -> SharedStep:
-        """The step on the constraint B' x = 0."""
+        """The step on the constraint C' x = 0."""
         none = np.zeros(self.gauge.shape[1])
-        by_gauge = self.products[1:, 0]
+        by_datum = self.products[1:, 0]
         if self.pinned:
-            return SharedStep(self.solutions[:, 0], none, by_gauge)
-        along = np.linalg.solve(self.products[1:, 1:], by_gauge) if len(none) else none
+            return SharedStep(self.solutions[:, 0], none, by_datum)
+        along = np.linalg.solve(self.products[1:, 1:], by_datum) if len(none) else none
         return SharedStep(self.solutions[:, 0] - self.solutions[:, 1:] @ along, along, none)
 
     def weakest(self) -> float:

@@ -1,0 +1,102 @@
+"""The frame of an adjusted scene, where nothing else gives it one: that of the poses it starts from, each photo weighed by what
+its arcs say of its pose (`least_squares/datum.py`). One with few arcs neither takes the others along nor makes them uncertain."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from camera_models.pose import Pose
+from omnilines.adjustment.information import pose_information
+from omnilines.adjustment.problem import LineProblem
+from omnilines.adjustment.state import LinesAndPoses
+from omnilines.geometry.line_chart import LineChart
+from omnilines.least_squares.datum import weighed
+
+MOST_ROUNDS, AT_REST = 10, 1e-12
+"""Of the search of the similarity, and its size that ends it."""
+
+
+def known_of_poses(problem: LineProblem, state: LinesAndPoses) -> Float[Tensor, "blocks 6 6"] | None:
+    """What is known of every free frame, and of every camera of a rig that moves, while the lines stay; None where nothing is
+    open."""
+    if not problem.gauge(state).shape[1]:
+        return None
+    frames, cameras = pose_information(problem.arcs, state)
+    return torch.cat([frames[problem.free], cameras[problem.rig_cameras]])
+
+
+def constraint(problem: LineProblem, state: LinesAndPoses, known: Float[Tensor, "blocks 6 6"] | None) -> Float[Tensor, "k g"]:
+    """C: C' dk is how much of each similarity that is open is in a step of the kept parameters."""
+    gauge = problem.gauge(state)
+    if known is None:
+        return gauge
+    found, poses = torch.zeros_like(gauge), 6 * len(known)
+    found[:poses] = torch.from_numpy(weighed(gauge[:poses].numpy(), known.numpy()))
+    return found
+
+
+def framed(problem: LineProblem, state: LinesAndPoses, start: LinesAndPoses) -> LinesAndPoses:
+    """The state in the frame of its start. One whose photos do not tell that frame stays as it is."""
+    known = known_of_poses(problem, state)
+    if known is None:
+        return state
+    for _ in range(MOST_ROUNDS):
+        in_step = constraint(problem, state, known)[: 6 * len(known)]
+        if not bool(torch.isfinite(in_step).all()):
+            return state
+        # Not by BLAS, whose sums depend on the number of its threads.
+        much = -torch.from_numpy(np.einsum("kg,k->g", in_step.numpy(), _step(problem, start, state).numpy()))
+        scale, motion = problem.similarities(state).after(much)
+        state = _moved(problem, state, scale, motion)
+        # A scene that has grown leaves shifts as much less certain.
+        sizes = torch.tensor([1.0] * 3 + [scale] * 3, dtype=torch.float64)
+        known = known / (sizes[:, None] * sizes)
+        if float(much.abs().max()) < AT_REST:
+            break
+    return state
+
+
+def _step(problem: LineProblem, start: LinesAndPoses, end: LinesAndPoses) -> Float[Tensor, " b6"]:
+    """Left perturbations of the frames and rig cameras that move, from one state to another."""
+    steps = (end.rig_from_world[problem.free] @ start.rig_from_world[problem.free].inverse()).log()
+    if start.rig is not None and end.rig is not None and len(problem.rig_cameras):
+        here, there = (rig.cam_from_rig[problem.rig_cameras] for rig in (start.rig, end.rig))
+        steps = torch.cat([steps, (there @ here.inverse()).log()])
+    return steps.flatten()
+
+
+def _moved(problem: LineProblem, state: LinesAndPoses, scale: float, motion: Pose) -> LinesAndPoses:
+    """The scene after a similarity; what is held stays."""
+    rotation, translation = state.rig_from_world.rotation.clone(), state.rig_from_world.translation.clone()
+    own = state.rig_from_world[problem.free]
+    turned = own.rotation @ motion.rotation.mT
+    centre = scale * (own.centre @ motion.rotation.mT) + motion.translation
+    rotation[problem.free], translation[problem.free] = turned, -(turned @ centre[..., None])[..., 0]
+    moved = replace(state, rig_from_world=Pose(rotation, translation), chart=_moved_lines(problem, state.chart, scale, motion))
+    if state.rig is None or not len(problem.rig_cameras):
+        return moved
+    mounts = state.rig.cam_from_rig
+    grown = mounts.translation.clone()
+    grown[problem.rig_cameras] *= scale
+    return replace(moved, rig=replace(state.rig, cam_from_rig=replace(mounts, translation=grown)))
+
+
+def _moved_lines(problem: LineProblem, chart: LineChart, scale: float, motion: Pose) -> LineChart:
+    moved = LineChart(
+        scale * (chart.centre @ motion.rotation.mT) + motion.translation,
+        scale * chart.scale,
+        motion.rotation @ chart.S,
+        chart.phi,
+    )
+    held = problem.freedom.held_lines
+    if held is None:
+        return moved
+    return LineChart(
+        torch.where(held[:, None], chart.centre, moved.centre),
+        torch.where(held, chart.scale, moved.scale),
+        torch.where(held[:, None, None], chart.S, moved.S),
+        chart.phi,
+    )
