@@ -1,5 +1,10 @@
-"""The frame of an adjusted scene, where nothing else gives it one: that of the poses it starts from, each photo weighed by what
-its arcs say of its pose (`least_squares/datum.py`). One with few arcs neither takes the others along nor makes them uncertain."""
+"""The frame of an adjusted scene, where nothing else gives it one: that of the poses it starts from, each photo weighed by how
+well its arcs tell its pose (`least_squares/datum.py`). One with few arcs neither takes others along nor makes them uncertain.
+
+With the information U of a pose while the lines stay, turns in radians and shifts over the distance D of the lines, the weight of
+a photo is 1 / tr U^-1, alike for all turns and shifts: photos that are known equally well count alike, as they do where somebody
+compares camera centres.
+"""
 
 from dataclasses import replace
 
@@ -14,18 +19,25 @@ from omnilines.adjustment.problem import LineProblem
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares.datum import weighed
+from omnilines.least_squares.dense import LEAST_EIGENVALUE
 
 MOST_ROUNDS, AT_REST = 10, 1e-12
 """Of the search of the similarity, and its size that ends it."""
 
 
 def known_of_poses(problem: LineProblem, state: LinesAndPoses) -> Float[Tensor, "blocks 6 6"] | None:
-    """What is known of every free frame, and of every camera of a rig that moves, while the lines stay; None where nothing is
-    open."""
+    """How much every free frame, and every camera of a rig that moves, counts; None where nothing is open."""
     if not problem.gauge(state).shape[1]:
         return None
-    frames, cameras = pose_information(problem.arcs, state)
-    return torch.cat([frames[problem.free], cameras[problem.rig_cameras]])
+    arcs = problem.arcs
+    frames, cameras = pose_information(arcs, state)
+    information = torch.cat([frames[problem.free], cameras[problem.rig_cameras]])
+    distance_m = state.chart.lines()[arcs.track].distance_to(state.cam_from_world.centre[arcs.image]).nanmedian()
+    unit = torch.cat([torch.ones(3, dtype=torch.float64), distance_m.expand(3)])
+    values = torch.linalg.eigvalsh(unit[:, None] * information * unit)
+    told = values[:, 0] > LEAST_EIGENVALUE * values[:, -1]
+    weight = torch.where(told, 1.0 / values.reciprocal().sum(-1), 0.0)
+    return weight[:, None, None] * torch.diag(unit**-2)
 
 
 def constraint(problem: LineProblem, state: LinesAndPoses, known: Float[Tensor, "blocks 6 6"] | None) -> Float[Tensor, "k g"]:
