@@ -107,14 +107,14 @@ lines.match_arcs = dropped
 
 
 IN_A_PHOTO = """
-real = detect._First.__call__
+real = detect.FirstLook.__call__
 turn = __import__("itertools").count()
 def slow(*given):
     own = next(turn)
     os.write(2, b"begun\\n")
     time.sleep(30 if own else 0)
     return real(*given)
-detect._First.__call__ = slow
+detect.FirstLook.__call__ = slow
 """
 
 

@@ -51,7 +51,7 @@ def extract(
                 photos, out, split=split, progress=progress,
             )  # fmt: skip
 
-    run(extracted, as_json)
+    run(extracted, as_json, kept=out / "work")
 
 
 @app.command()
@@ -90,7 +90,7 @@ def directions(
             photos, out, split=split, progress=progress,
         )  # fmt: skip
 
-    run(found, as_json, plots=plots)
+    run(found, as_json, kept=out / "work", plots=plots)
 
 
 def arcs_and_directions(settings: list[str] | None) -> "tuple[ExtractionOptions, DirectionsOptions]":
@@ -119,4 +119,8 @@ def check(
     from omnilines.pipelines.check_options import CheckOptions
 
     options = with_settings(CheckOptions(), settings or (), "check.")
-    run(lambda progress: command(photos, calibration, out, mask=mask, options=options, progress=progress), as_json)
+    run(
+        lambda progress: command(photos, calibration, out, mask=mask, options=options, progress=progress),
+        as_json,
+        kept=None if out is None else out / "work",
+    )

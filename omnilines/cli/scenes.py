@@ -106,4 +106,5 @@ def rectify(
     run(
         lambda progress: with_frames(lambda paths: views_of(paths, progress), photos, out, split=split, progress=progress),
         as_json,
+        kept=out / "work",
     )

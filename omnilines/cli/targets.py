@@ -78,7 +78,7 @@ def detect(
                 photos, out, pattern, mirror=mirror, detection=options, progress=progress,
             )  # fmt: skip
 
-    run(detected, as_json)
+    run(detected, as_json, kept=out / "work")
 
 
 @app.command()
@@ -117,6 +117,7 @@ def frames(
             videos, out, pattern, split=split, mirror=mirror, detection=detection, options=options, progress=progress
         ),
         as_json,
+        kept=out / "work",
     )
 
 

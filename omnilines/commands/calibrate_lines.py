@@ -7,7 +7,7 @@ from calib_patterns import DetectionOptions
 from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos
-from omnilines.files.folders import check_results
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.sets import claimed
 from omnilines.pages.calibration_lines import line_calibration_data, line_calibration_summaries
@@ -33,7 +33,7 @@ def calibrate_line_photos(
 ) -> CommandResult:
     """Calibrate one camera from the straight lines of photos, and write calibration and report into `out`. Where the
     pattern names a target beside lines, its corners count too. Edges are followed where the image `mask` is white, or that
-    which each photo has in the folder `mask`.
+    which each photo has in the folder `mask`. What photos show is kept in `out/work`.
 
     A camera of which the lines leave something open is written all the same, and the check fails. Raises InputError or
     GeometryError as `pipelines.calibrate_one.calibrate` does.
@@ -41,7 +41,8 @@ def calibrate_line_photos(
     refs = with_masks(find_photos(photos), mask)
     read = [*photos, *mask_files(refs)]
     check_results(out, (CALIBRATION, PAGE), read)
-    result = calibrate(refs, pattern, options, lines=lines, detection=detection, progress=progress)
+    check_work_folder(out / WORK, read)
+    result = calibrate(refs, pattern, options, lines=lines, work=out / WORK, detection=detection, progress=progress)
     assert isinstance(result, LineResult)
     with claimed(out, (CALIBRATION, PAGE), read, by="calibrate"):
         files = result.save(out)

@@ -6,7 +6,7 @@ from pathlib import Path
 from omnilines.commands.result import CommandResult, with_calibration
 from omnilines.files import find_photos
 from omnilines.files.cameras import calibration_files, read_cameras
-from omnilines.files.folders import check_results
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.sets import claimed
 from omnilines.pages.check import check_data, check_summaries
@@ -26,7 +26,7 @@ def check(
     options: CheckOptions = CheckOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Say whether photos bear out a calibration, and write check.csv into `out` where it is given.
+    """Say whether photos bear out a calibration, and write check.csv into `out` where it is given; edges are kept in `out/work`.
 
     Raises InputError and GeometryError as `pipelines.check.check` does.
     """
@@ -35,7 +35,8 @@ def check(
     read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *mask_files(refs)]
     if out is not None:
         check_results(out, [CHECK], read)
-    result = pipeline(refs, cameras, options, progress=progress)
+        check_work_folder(out / WORK, read)
+    result = pipeline(refs, cameras, options, work=None if out is None else out / WORK, progress=progress)
     files: tuple[Path, ...] = ()
     if out is not None:
         with claimed(out, result.file_names, read, by="check") as folder:

@@ -11,7 +11,7 @@ from camera_models import CameraModel, InputError
 from camera_models.wording import listed
 from omnilines.commands.result import CommandResult
 from omnilines.files.cameras import calibration_files, read_cameras
-from omnilines.files.folders import check_results
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.sets import claimed
 from omnilines.pages.corners import corners_summary
 from omnilines.pipelines import detect as pipeline
@@ -32,7 +32,7 @@ def detect(
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Write the corners of a target seen in photos to `out/corners.csv`; a `calibration` of the camera leads to more of them.
-    Photos are looked through by the workers of an `executor`, where one is given.
+    Photos are looked through by the workers of an `executor`, where one is given. What is found is kept in `out/work`.
 
     Raises InputError when there is no photo, the specification is malformed, no photo shows the pattern, or the calibration is
     not that of one camera and these photos.
@@ -40,8 +40,16 @@ def detect(
     camera = None if calibration is None else _one_camera(calibration)
     read = [*photos, *([] if calibration is None else calibration_files(calibration))]
     check_results(out, [CORNERS], read)
+    check_work_folder(out / WORK, read)
     found = pipeline.detect(
-        photos, pattern_spec, camera=camera, mirrored=mirror, options=options, executor=executor, progress=progress
+        photos,
+        pattern_spec,
+        camera=camera,
+        mirrored=mirror,
+        work=out / WORK,
+        options=options,
+        executor=executor,
+        progress=progress,
     )
     with claimed(out, [CORNERS], read, by="detect"):
         files = found.save(out)

@@ -12,7 +12,7 @@ from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos
 from omnilines.files.cameras import calibration_files, read_cameras
-from omnilines.files.folders import check_results
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
@@ -43,8 +43,8 @@ def directions(
 ) -> CommandResult:
     """Write the directions in which the lines of each photo meet, the arcs of each, rotations where asked for, and pictures.
 
-    Only where the image `mask` is white is looked at, or that which each photo or camera has in the folder `mask`. Raises
-    InputError as `pipelines.arcs.extract` and `pipelines.directions.directions` do.
+    Only where the image `mask` is white is looked at, or that which each photo or camera has in the folder `mask`. Arcs are kept
+    in `out/work`. Raises InputError as `pipelines.arcs.extract` and `pipelines.directions.directions` do.
     """
     refs = with_masks(find_photos(photos), mask)
     cameras = read_cameras(calibration, refs)
@@ -53,7 +53,8 @@ def directions(
     read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *mask_files(refs)]
     turns = (POSES, COVARIANCE) if orthogonal or vertical else ()
     check_results(out, [DIRECTIONS, ARCS, REPORT, *turns, *pictures], read)
-    arcs = extract(refs, cameras, options=extraction, progress=progress)
+    check_work_folder(out / WORK, read)
+    arcs = extract(refs, cameras, options=extraction, work=out / WORK, progress=progress)
     found = pipeline(arcs, orthogonal=orthogonal, vertical=vertical, options=options, progress=progress)
     with claimed(out, [*found.file_names, *pictures, REPORT], read, by="directions") as folder:
         files = (*found.save(folder), *write_direction_pictures(folder / PICTURES, found, progress))

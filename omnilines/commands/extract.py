@@ -8,7 +8,7 @@ from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos
 from omnilines.files.cameras import calibration_files, read_cameras
-from omnilines.files.folders import check_results
+from omnilines.files.folders import WORK, check_results, check_work_folder
 from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
@@ -34,7 +34,7 @@ def extract(
     """Write the arcs seen in photos to `out/segments.csv` and a picture of each photo with its arcs to `out/pictures`.
 
     Only where the image `mask` is white is looked at, or that which each photo or camera has in the folder `mask`; by the
-    workers of an `executor` where one is given.
+    workers of an `executor` where one is given. What is found is kept in `out/work`.
     Raises InputError as `pipelines.arcs.extract` does.
     """
     refs = with_masks(find_photos(photos), mask)
@@ -43,7 +43,8 @@ def extract(
     pictures = [f"{PICTURES}/{picture_name(photo)}" for photo in refs]
     read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *mask_files(refs)]
     check_results(out, [TABLE, *pictures], read)
-    arcs = pipeline(refs, cameras, options=options, executor=executor, progress=progress)
+    check_work_folder(out / WORK, read)
+    arcs = pipeline(refs, cameras, options=options, work=out / WORK, executor=executor, progress=progress)
     with claimed(out, [TABLE, *pictures], read, by="extract") as folder:
         files = (*arcs.save(folder), *write_pictures(folder / PICTURES, arcs, progress))
     also = () if mask is None else ("--mask", str(mask))

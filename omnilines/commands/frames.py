@@ -10,7 +10,7 @@ from calib_patterns import DetectionOptions
 from camera_models import InputError
 from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos, write_png
-from omnilines.files.folders import check_results, way_out
+from omnilines.files.folders import WORK, check_results, check_work_folder, way_out
 from omnilines.files.frames import TABLE
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed, withdrawn_where_refused
@@ -34,16 +34,29 @@ def frames(
     *,
     split: str | None = None,
     mirror: bool = False,
+    work: Path | None = None,
     detection: DetectionOptions = DetectionOptions(),
     options: FrameOptions = FrameOptions(),
     progress: ProgressCallback = silent,
 ) -> CommandResult:
-    """Write the frames worth keeping into `out`, of several videos into a folder for each, and `out/frames.csv`.
+    """Write the frames worth keeping into `out`, of several videos into a folder for each, and `out/frames.csv`. What frames show
+    of a target is kept in the folder `work`, or in `out/work`.
 
     Frames of an earlier run that are not taken any more are removed. Raises InputError as `pipelines.frames.frames` does.
     """
     check_results(out, [TABLE], videos)
-    chosen = pipeline(videos, pattern_spec, split=split, mirrored=mirror, detection=detection, options=options, progress=progress)
+    work = out / WORK if work is None else work
+    check_work_folder(work, videos)
+    chosen = pipeline(
+        videos,
+        pattern_spec,
+        split=split,
+        mirrored=mirror,
+        work=work,
+        detection=detection,
+        options=options,
+        progress=progress,
+    )
     files = chosen.save(out, progress)
     then = () if pattern_spec is None else ("calibrate", str(out), "--pattern", pattern_spec, "--out", "result")
     return CommandResult(tuple(_summaries(chosen, out)), _data(chosen), files=files, warnings=chosen.notes, then=then)
@@ -74,7 +87,15 @@ def with_frames(
             return command([folder])
     with withdrawn_where_refused(folder):
         made = frames(
-            paths, folder, pattern_spec, split=split, mirror=mirror, detection=detection, options=options, progress=progress
+            paths,
+            folder,
+            pattern_spec,
+            split=split,
+            mirror=mirror,
+            work=out / WORK,
+            detection=detection,
+            options=options,
+            progress=progress,
         )
         result = command([folder])
     taken, looked = made.data["taken"], made.data["looked_at"]

@@ -14,7 +14,7 @@ from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_poses
 from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.colmap_scene import check_colmap_folder
-from omnilines.files.folders import check_output_folder, check_results
+from omnilines.files.folders import WORK, check_output_folder, check_results, check_work_folder
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pipelines.arcs import SHORT_ARCS
@@ -44,7 +44,7 @@ def rectify(
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """Write views of photos (PNG) into `out`, with calibration.yaml, where poses are given poses.csv of the views, and of upright
-    ones upright.csv: how each is turned.
+    ones upright.csv: how each is turned, by arcs that are kept in `out/work`.
 
     Perspective and cube views with poses are also written as a COLMAP text model, in the folder `colmap`. Raises InputError as
     `pipelines.rectify.rectify` does.
@@ -61,12 +61,14 @@ def rectify(
     read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *([] if poses is None else [poses])]
     if upright:
         check_results(folder, ["calibration.yaml", LEVELS], read)
+        check_work_folder(folder / WORK, read)
     inputs: dict[str, Any] = {"calibration": calibration, "poses": poses, "view": view, **asked}
     if upright:
         inputs |= {"upright": True, "extraction": extraction, "directions": options}
     made = pipeline(
         refs, cameras, view, poses=table, fov_deg=fov_deg, size=size, yaw_deg=yaw_deg, pitch_deg=pitch_deg,
-        distance_m=distance_m, upright=upright, extraction=extraction, options=options, inputs=inputs, progress=progress,
+        distance_m=distance_m, upright=upright, work=folder / WORK, extraction=extraction, options=options, inputs=inputs,
+        progress=progress,
     )  # fmt: skip
     with claimed(folder, made.names_in(folder), read, by="rectify", kept=made.views_that_stay(folder)):
         result = _result(made, made.save(folder, progress), folder)

@@ -1,4 +1,4 @@
-"""Arrays that a run keeps for the next one with the same inputs: an NPZ with a seal at its end.
+"""Arrays that a run keeps for the next one with the same inputs: an NPZ, compressed, with a seal at its end.
 
 The seal is the SHA-256 of the archive and of what it was made from. A file that was cut short, changed, or put in the place of
 another has no such seal: it is made anew.
@@ -7,6 +7,7 @@ another has no such seal: it is made anew.
 import hashlib
 import io
 import threading
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from camera_models import InputError
 from camera_models.formats.disk import read_bytes, write_atomically
 
 SEAL_BYTES = 32
+_LEVEL = 1
+"""Of the compression: chains of edge points take half the room then, in a twentieth of the time that finding them takes."""
 _ONE_HEADER = threading.Lock()
 """NumPy parses headers as Python; CPython before 3.11.8 and 3.12.2 raises SystemError where two threads parse at a time
 (github.com/python/cpython/issues/106905)."""
@@ -25,7 +28,8 @@ def write_kept(path: Path, inputs: str, arrays: Mapping[str, np.ndarray]) -> Non
     """Keep arrays that were made from `inputs`. Raises InputError where the file cannot be written."""
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]
-    write_atomically(path, buffer.getvalue() + _seal(buffer.getvalue(), inputs))
+    archive = zlib.compress(buffer.getvalue(), _LEVEL)
+    write_atomically(path, archive + _seal(archive, inputs))
 
 
 def read_kept(path: Path, inputs: str) -> dict[str, np.ndarray] | None:
@@ -37,7 +41,7 @@ def read_kept(path: Path, inputs: str) -> dict[str, np.ndarray] | None:
     archive = content[:-SEAL_BYTES]
     if content[-SEAL_BYTES:] != _seal(archive, inputs):
         return None
-    with _ONE_HEADER, np.load(io.BytesIO(archive)) as file:
+    with _ONE_HEADER, np.load(io.BytesIO(zlib.decompress(archive))) as file:
         return dict(file)
 
 

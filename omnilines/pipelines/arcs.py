@@ -16,14 +16,12 @@ from camera_models.wording import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
 from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, PhotoRef, Photos, of_one_range, photo_folder, photos_of
-from omnilines.files.folders import output_folder, work_folder
-from omnilines.files.kept import read_kept, write_kept
 from omnilines.files.masks import Mask, check_masks, looked_at, masks_note, with_masks
 from omnilines.files.orientation import by_camera
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
 from omnilines.options import require_ranges
-from omnilines.pipelines.kept_results import inputs_of, look_at_rest
+from omnilines.pipelines.kept_results import inputs_of, keep_arrays, kept_arrays, kept_folder, look_at_rest
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, silent
 
@@ -90,7 +88,7 @@ def extract(
         options,
         appearance,
     )
-    kept = None if work is None else _Kept(look, output_folder(work_folder(work) / "arcs"))
+    kept = None if work is None else _Kept(look, kept_folder(work, "arcs"))
     found = look_at_rest(
         look,
         items,
@@ -225,7 +223,7 @@ class _Kept:
     def known(self, item: _Item) -> tuple[str | None, FoundArcs | None]:
         """What the arcs of one photo are kept by, and they, where they are."""
         inputs = self._inputs(item)
-        arrays = None if inputs is None else read_kept(self.folder / f"{inputs}.npz", inputs)
+        arrays = kept_arrays(self.folder, inputs)
         if arrays is None:
             return inputs, None
         pixels, covariance, length, colours = (arrays[name] for name in _ARRAYS)
@@ -234,7 +232,7 @@ class _Kept:
     def write(self, inputs: str | None, arcs: FoundArcs) -> None:
         """Keep those of a photo that was looked at."""
         if inputs is not None and arcs.reason is None:
-            write_kept(self.folder / f"{inputs}.npz", inputs, {name: getattr(arcs, name) for name in _ARRAYS})
+            keep_arrays(self.folder, inputs, {name: getattr(arcs, name) for name in _ARRAYS})
 
     def _inputs(self, item: _Item) -> str | None:
         """A fingerprint of all that the arcs of a photo depend on; None where none are kept."""

@@ -129,6 +129,7 @@ def calibrate_lines(
     *,
     boards: CalibrationResult | None = None,
     mask: Mask | None = None,
+    work: str | Path | None = None,
     progress: ProgressCallback = silent,
     **fields: Unpack[LineFields],
 ) -> LineResult:
@@ -142,7 +143,8 @@ def calibrate_lines(
 
     `boards` is a calibration of the same camera from a target, of some of the photos or of others: its model is
     kept, its corners count with their covariance in the one adjustment, and edges on the board of a photo do not count again.
-    Edges are followed where `mask` says, as in `extract`.
+    Edges are followed where `mask` says, as in `extract`. What each photo shows is kept in the folder `work`, where one is given,
+    and read from there by another run that would find the same.
 
     Raises InputError for options out of range and where no photo can be used, and GeometryError where too few edges are straight.
 
@@ -160,15 +162,16 @@ def calibrate_lines(
                 f"The model of the boards, {boards.camera.NAME}, was expected, found {options.model}; calibrate them with it."
             )
         require_global_shutter(boards)
-        return _with_boards(refs, boards, lines, options, progress)
-    followed = chains_of(refs, options=lines.chains, progress=progress)
+        return _with_boards(refs, boards, lines, options, work, progress)
+    followed = chains_of(refs, options=lines.chains, work=work, progress=progress)
     chains, skipped = followed.chains, followed.skipped
     candidates = candidates_of(options.model, options.of_model, mirror=options.mirror)
     guide = _guide(candidates, options.model)
     start, done = _started(followed, guide, lines, progress)
     images = chains.images
     for _ in range(max(1, lines.adjustment.searches)):
-        arcs, _ = arc_chains_of([one for one in refs if one.name in set(images)], done.model, lines.extraction, progress=progress)
+        used = [one for one in refs if one.name in set(images)]
+        arcs, _ = arc_chains_of(used, done.model, lines.extraction, work=work, progress=progress)
         before = done.model
         done = adjusted_camera(before, arcs, lines.adjustment, lines.directions, prior=done.prior, progress=progress)
         start, done = with_scale_of_all(start, done, arcs, guide, lines, progress)
@@ -214,12 +217,13 @@ def _with_boards(
     boards: CalibrationResult,
     lines: LinesOptions,
     options: CalibrationOptions,
+    work: str | Path | None,
     progress: ProgressCallback,
 ) -> LineResult:
     """Corners and lines in one adjustment, from the camera of the corners."""
     model, prior, doubts = boards.camera, None, tuple[str, ...]()
     for _ in range(max(1, lines.adjustment.searches)):
-        arcs, skipped = arc_chains_of(refs, model, lines.extraction, progress=progress)
+        arcs, skipped = arc_chains_of(refs, model, lines.extraction, work=work, progress=progress)
         arcs = off_boards(arcs, boards, lines.adjustment.board_margin_squares)
         if prior is None:
             prior, doubts = prior_of_boards(boards, arcs, lines), contradiction(boards, arcs, lines, progress)

@@ -62,6 +62,7 @@ def calibrate(
     lines: LinesOptions = ...,
     boards: CalibrationResult | None = None,
     mask: Mask | None = None,
+    work: str | Path | None = None,
     progress: ProgressCallback = ...,
     **fields: Unpack[LineFields],
 ) -> LineResult: ...
@@ -74,6 +75,7 @@ def calibrate(
     pattern: Pattern,
     options: CalibrationOptions = ...,
     *,
+    work: str | Path | None = None,
     detection: DetectionOptions = ...,
     executor: Executor | None = None,
     progress: ProgressCallback = ...,
@@ -90,6 +92,7 @@ def calibrate(
     *,
     lines: LinesOptions = ...,
     mask: Mask | None = None,
+    work: str | Path | None = None,
     detection: DetectionOptions = ...,
     executor: Executor | None = None,
     progress: ProgressCallback = ...,
@@ -108,6 +111,7 @@ def calibrate(
     lines: LinesOptions = LinesOptions(),
     boards: CalibrationResult | None = None,
     mask: Mask | None = None,
+    work: str | Path | None = None,
     detection: DetectionOptions = DetectionOptions(),
     executor: Executor | None = None,
     progress: ProgressCallback = silent,
@@ -123,9 +127,10 @@ def calibrate(
     Fields of the options may be given by name: `model="auto"` fits all camera models and takes the one that predicts held-out
     views best. With `rolling_shutter` the line delay is estimated. With lines alone `model`, `degree`, `coefficients` and
     `mirror` count; `boards` is a calibration of the same camera from a target, of some of the photos or of others: its model is
-    kept, and its corners count beside the lines. Edges are followed where `mask` says, as in `extract`. `detection` has the
-    options of targets, `lines` those of lines. Photos are searched for a target, and models fitted to it, by the workers of an
-    `executor`, where one is given.
+    kept, and its corners count beside the lines. Edges are followed where `mask` says, as in `extract`. What each photo shows is
+    kept in the folder `work`, where one is given, and read from there by another run that would find the same. `detection` has
+    the options of targets, `lines` those of lines. Photos are searched for a target, and models fitted to it, by the workers of
+    an `executor`, where one is given.
 
     Returns a CalibrationResult of corners or a target, a LineResult where lines count. Raises InputError for what does not go
     together, options out of range, photos that show too little and corners outside the image, and GeometryError where the data
@@ -154,19 +159,19 @@ def calibrate(
     asked = {name for name, is_given in known.items() if is_given}
     if not isinstance(pattern, str | Pattern):
         _require_corners(given)
-        _refuse(asked, "corners")
+        _refuse(asked | ({"work"} if work is not None else set()), "corners")
         return calibrate_corners(given, image_size or pattern, options, executor=executor, progress=progress, **fields)
     targets, has_lines = ((pattern,), False) if isinstance(pattern, Pattern) else shown_by(pattern)
     _require_photos(given, targets)
     _require_counting(bool(targets), has_lines, asked | fields.keys(), replace(options, **fields))
     if not targets:
-        return calibrate_lines(given, options, lines, boards=boards, mask=mask, progress=progress, **fields)
+        return calibrate_lines(given, options, lines, boards=boards, mask=mask, work=work, progress=progress, **fields)
     options = replace(options, **fields)
     options.require_of_models([options.model])
     # Which side of the board is seen decides only the sense of the numbering, which the pose of a plain board absorbs.
-    found = detect(given, targets[0], mirrored=options.mirror, options=detection, executor=executor, progress=progress)
+    found = detect(given, targets[0], mirrored=options.mirror, work=work, options=detection, executor=executor, progress=progress)
     result = calibrate_corners(found, options=options, executor=executor, progress=progress)
-    return calibrate_lines(given, options, lines, boards=result, mask=mask, progress=progress) if has_lines else result
+    return calibrate_lines(given, options, lines, boards=result, mask=mask, work=work, progress=progress) if has_lines else result
 
 
 def shown_by(pattern: str) -> tuple[tuple[str, ...], bool]:

@@ -3,19 +3,22 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from camera_models import InputError
 from omnilines.extraction.options import SmoothChainOptions
 from omnilines.extraction.smooth_chains import SmoothChains, smooth_chains
-from omnilines.files import Photo, Photos, of_one_range, photos_at_once, photos_of
+from omnilines.files import Photo, Photos, of_one_range, photos_of
 from omnilines.files.masks import Mask, looked_at, with_masks
 from omnilines.files.orientation import turned_otherwise
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.arcs import BYTES_PER_PIXEL, none_usable
 from omnilines.pipelines.copies import copies
-from omnilines.progress import ProgressCallback, on_all_cores, silent
+from omnilines.pipelines.kept_chains import KeptSmoothChains, Smooth
+from omnilines.pipelines.kept_results import look_at_rest
+from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Detail
 
 
@@ -35,21 +38,24 @@ def chains_of(
     *,
     mask: Mask | None = None,
     options: SmoothChainOptions = SmoothChainOptions(),
+    work: str | Path | None = None,
     progress: ProgressCallback = silent,
 ) -> PhotoChains:
     """The smooth curves of edge points in photos of one camera (a folder, files, or arrays), on all cores, one photo
     per core in memory. Photos are looked at where `mask` says, as in `extract`. Photos that cannot be read, and those of another
-    size, or turned otherwise by EXIF, than most, and copies, are left out.
+    size, or turned otherwise by EXIF, than most, and copies, are left out. The curves of each photo are kept in the folder
+    `work`, where one is given.
 
     Raises InputError where there is no photo, none can be used, or masks do not belong to the photos.
     """
     refs = of_one_range(with_masks(photos_of(photos), mask), progress)
     turned = turned_otherwise(refs)
 
-    def look(photo: Photo) -> tuple[tuple[int, int], SmoothChains] | str:
+    def look(item: tuple[Photo, str | None]) -> Smooth:
         """Size and chains of one photo, or why it has none."""
-        if photo.name in turned:
-            return turned[photo.name]
+        photo, left_out = item
+        if left_out is not None:
+            return left_out
         try:
             image = photo.read()
             size = (image.shape[1], image.shape[0])
@@ -57,7 +63,16 @@ def chains_of(
         except InputError as error:
             return str(error)
 
-    found = on_all_cores(look, refs, "following edges", progress, photos_at_once(refs, BYTES_PER_PIXEL))
+    found = look_at_rest(
+        look,
+        [(photo, turned.get(photo.name)) for photo in refs],
+        refs,
+        "following edges",
+        None if work is None else KeptSmoothChains.within(work, options.stated),
+        executor=None,
+        bytes_per_pixel=BYTES_PER_PIXEL,
+        progress=progress,
+    )
     empty = np.zeros((0, 2))
     alike = copies([photo.name for photo in refs], [empty if isinstance(one, str) else one[1].pixels for one in found])
     found = [one if why is None else why for one, why in zip(found, alike, strict=True)]

@@ -116,13 +116,15 @@ def check(
     options: CheckOptions = CheckOptions(),
     *,
     mask: Mask | None = None,
+    work: str | Path | None = None,
     progress: ProgressCallback = silent,
 ) -> CheckResult:
     """Whether photos of buildings, rooms or anything else with straight lines bear out the calibration of one camera.
 
     Lines have to be straight over the whole image, parallel ones to meet, and right angles to be right. Only what `mask`
     shows is looked at, as in `extract`. Of a calibration of several cameras, the one is checked that a folder of the photos is
-    named like. Where the calibration states a covariance, what it allows is no contradiction.
+    named like. The edges of each photo are kept in the folder `work`, where one is given. Where the calibration states a
+    covariance, what it allows is no contradiction.
 
     Raises InputError for photos of several cameras or of none that is known, a camera without parameters, and where no photo can
     be used, and GeometryError where too few edges are straight, or lines leave more open than `most_sigma_share` of the image.
@@ -143,7 +145,7 @@ def check(
     check_masks(refs, {photo.name: model.image_size for photo in refs})
     lines = options.lines
     known_rad = known_angles_rad(estimate)
-    chains, skipped = arc_chains_of(refs, model, lines.extraction, known_rad=known_rad, progress=progress)
+    chains, skipped = arc_chains_of(refs, model, lines.extraction, known_rad=known_rad, work=work, progress=progress)
     asked, notes = asked_by_lines(model, chains, lines, progress)
     known = None if estimate is None or estimate.covariance is None else torch.as_tensor(estimate.covariance)
     found = line_check(model.calibrated_form(), asked, known, significance=options.significance)

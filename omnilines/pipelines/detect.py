@@ -31,7 +31,7 @@ BYTES_PER_PIXEL = 40
 
 
 @dataclass(frozen=True)
-class _First:
+class FirstLook:
     """The first look at photos, each given with the reason why it is left out."""
 
     target: Pattern
@@ -53,6 +53,11 @@ class _First:
             detection = searched(image, self.target, self.camera, detection, mirrored=self.mirrored, options=self.options)
             reason = None if len(detection) else reason
         return detection, reason, size
+
+    def kept(self, work: str | Path | None) -> KeptCorners | None:
+        """What it finds in files of a folder, where one is given."""
+        asked = (self.target.specification, said_of(self.camera), self.mirrored, self.options.stated)
+        return None if work is None else KeptCorners.within(work, asked)
 
 
 @dataclass(frozen=True)
@@ -118,13 +123,13 @@ def detect(
         target, otherwise = as_printed(target, found_photos, any_tags=True, mirrored=mirrored, options=options, progress=progress)
 
     turned = turned_otherwise(found_photos)
-    asked = (target.specification, said_of(camera), mirrored, options.stated)
+    first = FirstLook(target, camera, mirrored, options)
     found = look_at_rest(
-        _First(target, camera, mirrored, options),
+        first,
         [(photo, turned.get(photo.name)) for photo in found_photos],
         found_photos,
         "detecting corners",
-        None if work is None else KeptCorners.within(work, asked),
+        first.kept(work),
         executor=executor,
         bytes_per_pixel=BYTES_PER_PIXEL,
         progress=progress,

@@ -34,6 +34,7 @@ def frames(
     *,
     split: Split | str | None = None,
     mirrored: bool = False,
+    work: str | Path | None = None,
     detection: DetectionOptions = DetectionOptions(),
     options: FrameOptions = FrameOptions(),
     progress: ProgressCallback = silent,
@@ -50,7 +51,8 @@ def frames(
     them says that one began earlier; topics of bags (`BAG:/topic`) by their stamps. Of several videos of a target the frames
     just before and after each instant are taken too:
     `calibrate_rig` compares the cameras' clocks by them. `split`, such as `left,right`, cuts frames that show two lenses side by
-    side into those of two cameras. Raises InputError where there is no video, one cannot be decoded, or no frame shows the
+    side into those of two cameras. What frames show of a target is kept in the folder `work`, where one is given, as by `detect`.
+    Raises InputError where there is no video, one cannot be decoded, or no frame shows the
     pattern.
 
         >>> chosen = ol.frames("board.mp4", "checkerboard:8x6:30mm")
@@ -67,10 +69,10 @@ def frames(
     lenses = lenses_of(sources, Split.of(split) if isinstance(split, str) else split)
     targets, notes = _targets(pattern, sources, mirrored, detection, progress)
     instants, told = instants_of(lenses, options, progress)
-    search, still = FrameSearch(lenses, targets, mirrored, detection), _still(lenses, instants, options)
+    search, still = FrameSearch(lenses, targets, mirrored, detection, work), _still(lenses, instants, options)
     run = _run_frames(sources, options) if targets else 1
     moving = moving_runs(still, instants, options) if len(targets) == 1 == run else []
-    looked, followed = search.looked_and_followed(still, moving)
+    looked, followed = search.looked_and_followed(still, moving, progress)
     if not looked:
         raise InputError(f"Frames were expected in {sources[0].location}, found none that can be decoded; convert it to MP4.")
     if not targets:

@@ -12,9 +12,7 @@ from calib_patterns import Detection
 from camera_models import CameraModel
 from camera_models.pose import Pose
 from omnilines.files import Photo
-from omnilines.files.folders import output_folder, work_folder
-from omnilines.files.kept import read_kept, write_kept
-from omnilines.pipelines.kept_results import inputs_of
+from omnilines.pipelines.kept_results import inputs_of, keep_arrays, kept_arrays, kept_folder
 
 Looked: TypeAlias = tuple[Detection, str | None, tuple[int, int] | None]
 """What one photo shows of the target, why it was skipped, and its size, None where it was not looked at."""
@@ -30,11 +28,12 @@ MADE_BY = (
     __name__,
 )
 """Whose source decides what a photo is found to show."""
+FOLDER = "corners"
 
 
 @dataclass(frozen=True)
 class KeptCorners:
-    """Those of photos in files, also that a photo shows none, for which it is searched the longest."""
+    """Those of photos, in files; also that a photo shows none, for which it is searched the longest."""
 
     folder: Path
     asked: str
@@ -43,13 +42,13 @@ class KeptCorners:
     @staticmethod
     def within(work: str | Path, asked: object) -> "KeptCorners":
         """Those of a folder, which is made. Raises InputError as `work_folder` does."""
-        return KeptCorners(_folder(work), repr(asked))
+        return KeptCorners(kept_folder(work, FOLDER), repr(asked))
 
     def known(self, item: tuple[Photo, str | None]) -> tuple[str | None, Looked | None]:
         """What the corners of one photo are kept by, and they, where they are."""
         photo, left_out = item
         inputs = None if left_out is not None else inputs_of(photo, self.asked, *MADE_BY)
-        arrays = _read(self.folder, inputs)
+        arrays = kept_arrays(self.folder, inputs)
         if arrays is None:
             return inputs, None
         width, height = arrays["size"].tolist()
@@ -60,7 +59,7 @@ class KeptCorners:
         found, reason, size = looked
         if inputs is not None and size is not None:
             beside = {"size": np.array(size), "reason": np.array(reason or "")}
-            write_kept(self.folder / f"{inputs}.npz", inputs, _arrays(found) | beside)
+            keep_arrays(self.folder, inputs, _arrays(found) | beside)
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class KeptSearch:
     @staticmethod
     def within(work: str | Path, asked: object) -> "KeptSearch":
         """As that of `KeptCorners`."""
-        return KeptSearch(_folder(work), repr(asked))
+        return KeptSearch(kept_folder(work, FOLDER), repr(asked))
 
     def known(self, item: Again) -> tuple[str | None, Detection | None]:
         """What the corners of one photo are kept by, and they, where they are."""
@@ -85,26 +84,18 @@ class KeptSearch:
         if pose is not None:
             what.update(pose.rotation.detach().numpy().tobytes() + pose.translation.detach().numpy().tobytes())
         inputs = inputs_of(photo, f"{self.asked} {what.hexdigest()}", *MADE_BY)
-        arrays = _read(self.folder, inputs)
+        arrays = kept_arrays(self.folder, inputs)
         return inputs, None if arrays is None else _detection(arrays)
 
     def write(self, inputs: str | None, found: Detection) -> None:
         """Keep those of a photo that was searched."""
         if inputs is not None:
-            write_kept(self.folder / f"{inputs}.npz", inputs, _arrays(found))
+            keep_arrays(self.folder, inputs, _arrays(found))
 
 
 def said_of(camera: CameraModel | None) -> object:
     """A camera among what decides what is found."""
     return None if camera is None else (camera.NAME, camera.image_size, camera.parameters.detach().tolist())
-
-
-def _folder(work: str | Path) -> Path:
-    return output_folder(work_folder(work) / "corners")
-
-
-def _read(folder: Path, inputs: str | None) -> dict[str, np.ndarray] | None:
-    return None if inputs is None else read_kept(folder / f"{inputs}.npz", inputs)
 
 
 def _arrays(found: Detection) -> dict[str, np.ndarray]:

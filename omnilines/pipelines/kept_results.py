@@ -1,7 +1,7 @@
 """What photos were found to show, kept from one run to the next: an interrupted run goes on where it was stopped."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
@@ -12,6 +12,8 @@ from camera_models import InputError
 from camera_models.formats.disk import read_bytes
 from omnilines.files import Photo, PhotoRef
 from omnilines.files.fingerprint import revision
+from omnilines.files.folders import output_folder, work_folder
+from omnilines.files.kept import read_kept, write_kept
 from omnilines.pipelines.batches import look_at
 from omnilines.progress import ProgressCallback, on_all_cores
 
@@ -69,16 +71,35 @@ def look_at_rest(
     return [found[k] for k in range(len(items))]
 
 
+def kept_folder(work: str | Path, name: str) -> Path:
+    """A folder within the one for what a run keeps; both are made. Raises InputError as `work_folder` does."""
+    return output_folder(work_folder(work) / name)
+
+
+def kept_arrays(folder: Path, inputs: str | None) -> dict[str, np.ndarray] | None:
+    """What is kept by these inputs; None where nothing is."""
+    return None if inputs is None else read_kept(folder / f"{inputs}.npz", inputs)
+
+
+def keep_arrays(folder: Path, inputs: str, arrays: Mapping[str, np.ndarray]) -> None:
+    """Keep something by its inputs."""
+    write_kept(folder / f"{inputs}.npz", inputs, arrays)
+
+
 def inputs_of(photo: Photo, asked: str, *made_by: str) -> str | None:
     """A fingerprint of all that the result of a photo depends on: its pixels, its mask, what is `asked`, and the sources of
-    packages and modules; None of photos in memory, of which nothing is kept, and of those that cannot be read."""
-    if not isinstance(photo, PhotoRef):
-        return None
+    packages and modules; None of those that cannot be read."""
     try:
-        what = hashlib.sha256(read_bytes(photo.path))
+        what = hashlib.sha256(_pixels_of(photo))
         if photo.mask is not None:
             what.update(read_bytes(photo.mask) if isinstance(photo.mask, Path) else np.packbits(photo.mask).tobytes())
     except InputError:
         return None
     what.update(f"{revision(*made_by)} {asked}".encode())
     return what.hexdigest()[:32]
+
+
+def _pixels_of(photo: Photo) -> bytes:
+    if isinstance(photo, PhotoRef):
+        return read_bytes(photo.path)
+    return f"{photo.pixels.dtype} {photo.pixels.shape} ".encode() + photo.pixels.tobytes()

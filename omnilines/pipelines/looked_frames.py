@@ -4,14 +4,21 @@ import itertools
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from calib_patterns import Detection, DetectionOptions, Pattern
+from omnilines.files import PhotoArray
 from omnilines.files.videos import together
 from omnilines.footage.stillness import Instant, Look
+from omnilines.pipelines.detect import BYTES_PER_PIXEL, FirstLook
 from omnilines.pipelines.instants import Lens
-from omnilines.progress import on_all_cores, silent
+from omnilines.pipelines.kept_corners import Looked
+from omnilines.pipelines.kept_results import look_at_rest
+from omnilines.progress import ProgressCallback, silent
+
+LOOKING = "looking at frames"
 
 
 @dataclass(frozen=True)
@@ -38,8 +45,10 @@ class FrameSearch:
     targets: tuple[Pattern, ...]
     mirrored: bool
     detection: DetectionOptions
+    work: str | Path | None
+    """The folder in which what is found is kept, where there is one."""
 
-    def looked(self, instants: Sequence[Instant]) -> list[LookedInstant]:
+    def looked(self, instants: Sequence[Instant], progress: ProgressCallback) -> list[LookedInstant]:
         """What is found in some instants, a few at a time in memory, on all cores."""
         if not self.targets:
             return [not_looked_at(one) for one in instants]
@@ -52,28 +61,46 @@ class FrameSearch:
             for one, frames in zip(instants, shown, strict=False)
         )
         found: list[LookedInstant] = []
+        progress(LOOKING, 0, len(instants))
         while batch := list(itertools.islice(pictures, 2 * (os.cpu_count() or 1))):
-            found += on_all_cores(self._closely, batch, "looking at frames", silent)
+            found += self._closely(batch)
+            progress(LOOKING, len(found), len(instants))
         return found
 
     def looked_and_followed(
-        self, instants: Sequence[Instant], followed: Sequence[Instant]
+        self, instants: Sequence[Instant], followed: Sequence[Instant], progress: ProgressCallback
     ) -> tuple[list[LookedInstant], list[LookedInstant]]:
         """What is found in some instants, and in others among which some of them may be."""
         every = sorted({*instants, *followed}, key=lambda one: one.index)
-        found = {one.index: one for one in self.looked(every)}
+        found = {one.index: one for one in self.looked(every, progress)}
         looked, moving = ([found[one.index] for one in some if one.index in found] for some in (instants, followed))
         return looked, moving
 
-    def _closely(self, shown: tuple[Instant, tuple[np.ndarray, ...]]) -> LookedInstant:
-        instant, pictures = shown
-        seen = [
-            [target.detect(pixels, mirrored=self.mirrored, options=self.detection) for target in self.targets]
-            for pixels in pictures
-        ]
-        found = tuple(tuple(detection for detection, _ in own) for own in seen)
-        reasons = tuple(next((why for detection, why in own if not len(detection)), None) for own in seen)
-        return LookedInstant(instant.index, instant.time_s, instant.looks, found, reasons)
+    def _closely(self, shown: Sequence[tuple[Instant, tuple[np.ndarray, ...]]]) -> list[LookedInstant]:
+        """What every camera sees of every target at each of some instants."""
+        pictures = [PhotoArray(f"{k}", pixels) for _, own in shown for k, pixels in enumerate(own)]
+        by_target = [self._seen(target, pictures) for target in self.targets]
+        by_picture = list(zip(*by_target, strict=True))
+        found, count = list[LookedInstant](), len(self.lenses)
+        for k, (instant, _) in enumerate(shown):
+            own = by_picture[k * count : (k + 1) * count]
+            seen = tuple(tuple(detection for detection, _, _ in looks) for looks in own)
+            reasons = tuple(next((why for detection, why, _ in looks if not len(detection)), None) for looks in own)
+            found.append(LookedInstant(instant.index, instant.time_s, instant.looks, seen, reasons))
+        return found
+
+    def _seen(self, target: Pattern, pictures: Sequence[PhotoArray]) -> list[Looked]:
+        first = FirstLook(target, None, self.mirrored, self.detection)
+        return look_at_rest(
+            first,
+            [(picture, None) for picture in pictures],
+            pictures,
+            LOOKING,
+            first.kept(self.work),
+            executor=None,
+            bytes_per_pixel=BYTES_PER_PIXEL,
+            progress=silent,
+        )
 
 
 def not_looked_at(instant: Instant) -> LookedInstant:

@@ -7,7 +7,7 @@ vertical that their lines show.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import PurePosixPath
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,7 @@ def rectify(
     pitch_deg: float = 0.0,
     distance_m: float | None = None,
     upright: bool = False,
+    work: str | Path | None = None,
     extraction: ExtractionOptions = SHORT_ARCS,
     options: DirectionsOptions = DirectionsOptions(),
     inputs: Mapping[str, Any] | None = None,
@@ -61,8 +62,9 @@ def rectify(
 
     With `upright` the vertical is found in the lines of each photo, or of the photos of a rig at one instant, and views look
     along the ground, upright, before they are turned by `yaw_deg` and `pitch_deg`. `extraction` and `options` are how arcs and
-    directions are found. `inputs` is what the views say that they were made from. In `left_out` are photos that cannot be read,
-    have not the size of their camera or another EXIF orientation than its others, or show no vertical where that counts.
+    directions are found; arcs are kept in the folder `work`, where one is given. `inputs` is what the views say that they were
+    made from. In `left_out` are photos that cannot be read, have not the size of their camera or another EXIF orientation than
+    its others, or show no vertical where that counts.
 
     Raises InputError on poses and options that are not what they have to be and where no photo can be used, GeometryError where
     upright views are asked for and no photo shows the vertical.
@@ -83,7 +85,7 @@ def rectify(
     levels = Levels({}, ())
     if upright:
         axes = {name: _axis_from_rig_camera(cameras, name) if together else axis_from_camera(cameras[name]) for name in cameras}
-        levels = levels_of(groups, cameras, axes, extraction=extraction, options=options, progress=progress)
+        levels = levels_of(groups, cameras, axes, work=work, extraction=extraction, options=options, progress=progress)
         groups = {name: own for name, own in groups.items() if name in levels.found}
     made = tuple(
         OneView(_file_name(name, target.name), tuple(own.values()), tuple(own), _levelled(target, level), level)

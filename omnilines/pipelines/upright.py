@@ -6,6 +6,7 @@ at one instant counts together.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -71,17 +72,19 @@ def levels_of(
     cameras: Calibration,
     axis_from_camera: Mapping[str, Float[np.ndarray, "3 3"]],
     *,
+    work: str | Path | None,
     extraction: ExtractionOptions,
     options: DirectionsOptions,
     progress: ProgressCallback,
 ) -> Levels:
-    """How each group of photos by camera, those of one instant, or each photo alone, is turned level.
+    """How each group of photos by camera, those of one instant, or each photo alone, is turned level. Arcs are kept in the folder
+    `work`, where one is given.
 
     Raises InputError where no photo of a camera can be used or an option is out of its range, GeometryError where no photo shows
     the vertical.
     """
     check_options(options)
-    arcs = _arcs_of(groups, cameras, extraction, progress)
+    arcs = _arcs_of(groups, cameras, extraction, work, progress)
 
     def look(name: str) -> Level | None:
         """The level of one group."""
@@ -101,7 +104,11 @@ def levels_of(
 
 
 def _arcs_of(
-    groups: Mapping[str, Mapping[str, Photo]], cameras: Calibration, extraction: ExtractionOptions, progress: ProgressCallback
+    groups: Mapping[str, Mapping[str, Photo]],
+    cameras: Calibration,
+    extraction: ExtractionOptions,
+    work: str | Path | None,
+    progress: ProgressCallback,
 ) -> dict[str, FoundArcs]:
     """By photo. A table of poses may say of which camera each is, so those of each camera are looked at by themselves."""
     found: dict[str, FoundArcs] = {}
@@ -109,7 +116,7 @@ def _arcs_of(
         own = [group[camera] for group in groups.values() if camera in group]
         estimates = {camera: cameras.estimates[camera]} if camera in cameras.estimates else {}
         alone = Calibration({camera: cameras[camera]}, estimates)
-        arcs = extract(own, alone, options=extraction, progress=progress)
+        arcs = extract(own, alone, options=extraction, work=work, progress=progress)
         found.update({one.photo.name: one for one in arcs.photos})
     return found
 

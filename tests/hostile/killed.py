@@ -27,6 +27,7 @@ import omnilines
 from camera_models.formats import disk
 from camera_models.formats.disk import MANIFEST, MOVING
 from omnilines import cli
+from omnilines.files.folders import WORK
 from omnilines.files.sets import settle
 
 SCENE = ("--calibration", "IN/calibration.yaml", "--poses", "IN/poses.csv", "--segments", "IN/segments.csv", "--out", "OUT")
@@ -79,9 +80,10 @@ def forked(arguments: tuple[str, ...], folder: Path, last: int) -> tuple[int, in
 
 
 def results(folder: Path) -> dict[str, bytes]:
-    """What lies in OUT, hidden files but for its list aside."""
+    """What lies in OUT, hidden files but for its list aside, and what is kept for the next run."""
     out = folder / "OUT"
     found = {path.relative_to(out): path for path in sorted(out.rglob("*")) if path.is_file()}
+    found = {name: path for name, path in found.items() if name.parts[0] != WORK}
     shown = {name: path for name, path in found.items() if not any(part[0] == "." and part != MANIFEST for part in name.parts)}
     return {name.as_posix(): path.read_bytes() for name, path in shown.items()}
 
@@ -112,13 +114,15 @@ def kills(name: str, folder: Path, chosen: Callable[[int], list[int]], tell: Cal
     clean.mkdir()
     give("omnilines", "omnilines-rig", "poses.csv", "segments.csv", "photos")(clean)
     (clean / "OUT").mkdir()
-    old, new, again = (shutil.copytree(clean, folder / part) for part in ("old", "new", "again"))
+    old, new = (shutil.copytree(clean, folder / part) for part in ("old", "new"))
     assert forked(before, old, NEVER)[0] == 0
-    moments = forked(command, new, NEVER)[1]
-    assert moments and forked(command, again, NEVER)[0] == 0
+    again = shutil.copytree(old, folder / "again")
+    # What an earlier run has kept is not written again.
+    moments = {clean: forked(command, new, NEVER)[1], old: forked(command, again, NEVER)[1]}
+    assert all(moments.values())
     assert results(new) == results(again), f"{name} is not the same twice: {different(results(again), results(new))}"
     count = failures = 0
-    for start, last in [(part, last) for part in (clean, old) for last in chosen(moments)]:
+    for start, last in [(part, last) for part in (clean, old) for last in chosen(moments[part])]:
         work = shutil.copytree(start, folder / "work")
         status, _ = forked(command, work, last)
         wrong = [] if status == -signal.SIGKILL else [f"status {status}"]
@@ -128,7 +132,7 @@ def kills(name: str, folder: Path, chosen: Callable[[int], list[int]], tell: Cal
         forked(command, work, NEVER)
         wrong += [f"{path} is left" for path in hidden(work)]
         wrong += [f"{path} after a rerun" for path in different(results(work), results(new))]
-        tell(f"{name} from {start.name} at {last} of {moments}: {', '.join(wrong) or 'whole'}")
+        tell(f"{name} from {start.name} at {last} of {moments[start]}: {', '.join(wrong) or 'whole'}")
         count, failures = count + 1, failures + bool(wrong)
         shutil.rmtree(work)
     return count, failures
