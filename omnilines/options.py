@@ -102,7 +102,7 @@ def _parsed(name: str, text: str, default: Any) -> Any:
         if isinstance(default, bool):
             return {"true": True, "false": False}[text.lower()]
         if isinstance(default, tuple):
-            _require_few(name, text, default)
+            _require_few(name, text.count(",") + 1, default)
             return tuple(_number(name, part, default or ("",)) for part in text.split(","))
         return text if isinstance(default, str) else _number(name, text, (default,))
     except InputError:
@@ -116,11 +116,13 @@ PRIORS = "priors"
 """At the end of the names of lists that have a value for each order of a polynomial."""
 
 
-def _require_few(name: str, text: str, default: tuple[Any, ...]) -> None:
-    count, fixed = text.count(",") + 1, name.endswith(PRIORS)
+def _require_few(name: str, count: int, default: tuple[Any, ...]) -> None:
+    """Raises InputError where a list is longer than it may be, or has none where there are some by default."""
+    fixed = name.endswith(PRIORS)
     most = len(default) if fixed else max(MOST_LISTED, 2 * len(default))
-    if count > most or (fixed and count < most):
-        raise InputError(f"{name} was expected as a list of {'' if fixed else 'at most '}{most}, found {count}; correct it.")
+    least = most if fixed else min(1, len(default))
+    if not least <= count <= most:
+        raise InputError(f"{name} was expected as a list of {'' if fixed else f'{least} to '}{most}, found {count}; correct it.")
 
 
 def _number(name: str, text: str, defaults: tuple[Any, ...]) -> Any:
@@ -134,7 +136,7 @@ def _number(name: str, text: str, defaults: tuple[Any, ...]) -> Any:
         raise ValueError(text)
     if value in defaults:
         return value
-    _require_in_range(name, value, defaults, f"'{text}'")
+    _require_in_range(name, value, defaults, text)
     return value
 
 
@@ -152,12 +154,18 @@ def require_ranges(options: Any) -> None:
     usual = {name: value for name, value, _ in walk(type(options)())}
     for name, value, _ in walk(options):
         numbers, defaults = ((one if isinstance(one, tuple) else (one,)) for one in (value, usual[name]))
-        if not defaults or not all(isinstance(one, int | float) and not isinstance(one, bool) for one in defaults):
+        if isinstance(usual[name], tuple):
+            _require_few(name, len(numbers), usual[name])
+        if not defaults or not all(one is None or _is_number(one) for one in defaults):
             continue
         for number in numbers:
-            if number not in defaults:
+            if _is_number(number) and number not in defaults:
                 _require_in_range(name, number, defaults, f"{number:g}")
     _require_ordered(options, "")
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def require_ranges_of_parts(options: Any) -> None:
@@ -178,7 +186,12 @@ UNITS = {
 """Ranges of values, by the unit that the name of an option ends in."""
 SEED, ROUNDS = "seed", ("rounds", "searches")
 MOST_ROUNDS, MOST_LISTED, MOST_LEAST = 100, 10, 10_000
-SCALES = {"smoothing", "sigma", "taper", "along", "block", "scale", "scales", "blur", "side", "priors", "offsets", "per"}
+MIXED, LEAST_MIXED = "share", 1e-6
+"""Of a mixture: what alone is called so has a logarithm, as has what is left of 1."""
+SCALES = {
+    "smoothing", "sigma", "taper", "along", "block", "scale", "scales", "blur", "side", "priors", "offsets", "per", "false",
+    "tried",
+}  # fmt: skip
 """Words in names of what is divided by, or steps and sizes are made of: not 0."""
 
 
@@ -188,6 +201,8 @@ def range_of(name: str, default: float | int | None) -> tuple[float | int, float
     words = last.split("_")
     if last == SEED:
         return 0, 2**63 - 1
+    if last == MIXED:
+        return LEAST_MIXED, 1.0 - LEAST_MIXED
     if words[-1] in ROUNDS:
         return 0, MOST_ROUNDS
     if words[0] == "min" and words[-1] not in UNITS:

@@ -268,10 +268,31 @@ def test_idle_and_contradicting_options_are_refused(room: Path, tmp_path: Path, 
         (("--set", "directions.tried_axes=3"), "counts only with --orthogonal"),
         (("--orthogonal", "--set", "directions.upright.as_near=3"), "counts only with --vertical"),
         (("--orthogonal", "--set", "directions.min_lines=3"), "counts only without --orthogonal"),
-        (("--set", "directions.tried_rad=0"), "stray while directions are tried"),
-        (("--set", "directions.strays_rad=0.1,0"), "in ascending order"),
-        (("--set", "directions.share=0"), "above 0"),
-        (("--set", "directions.paired_arcs=1"), "Two arcs or more"),
+        (("--set", "directions.tried_rad=0"), "directions.tried_rad was expected to be a number from 8.72665e-09 to"),
+        (("--set", "directions.strays_rad="), "directions.strays_rad was expected"),
+        (("--set", "directions.share=0"), "directions.share was expected to be a number from 1e-06 to"),
+        (("--set", "directions.false_directions=0"), "directions.false_directions was expected to be a number from 1e-09 to"),
+        (("--set", "directions.paired_arcs=0"), "directions.paired_arcs was expected to be a number from 1 to"),
     ):
         status, out, err = run(capsys, *given, *options)
         assert status == 2 and said in err and not out and not (tmp_path / "out").exists()
+
+
+def test_options_at_the_ends_of_their_ranges_end(room: Path) -> None:
+    """A separation of 0 searched for ever; the order of strays, of which one is chosen, changes nothing."""
+    arcs = ol.extract(room, ol.load(room / "calibration.yaml"))
+    usual = ol.directions(arcs)
+    for fields in (
+        {"separation_rad": 0.0},
+        {"strays_rad": ol.DirectionsOptions().strays_rad[::-1]},
+        {"share": 1e-6},
+        {"false_directions": 1e-9},
+        {"used_arcs": 1},
+        {"paired_arcs": 1},
+    ):
+        options = ol.DirectionsOptions(**fields)  # type: ignore[arg-type]
+        found, frame = ol.directions(arcs, options=options), ol.directions(arcs, orthogonal=True, options=options)
+        assert len(found.photos) == len(frame.photos) == len(usual.photos)
+        if "strays_rad" in fields:
+            for one, same in zip(found.photos, usual.photos, strict=True):
+                np.testing.assert_allclose(one.meeting.direction, same.meeting.direction, atol=1e-9)

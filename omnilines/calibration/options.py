@@ -53,8 +53,6 @@ class CalibrationOptions(CalibrationThresholds):
             )
         Loss(self.loss)
         require_refinable(self.refine_board)
-        if self.searches < 0:
-            raise InputError(f"`searches` was expected to be 0 or more, found {self.searches}; correct it.")
         if self.degree is not None and self.degree < 2:
             raise InputError(f"`degree` was expected to be at least 2, found {self.degree}; leave it out to have it chosen.")
         if self.coefficients not in (None, 0, 5, 8):

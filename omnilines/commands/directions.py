@@ -19,7 +19,7 @@ from omnilines.files.sets import claimed
 from omnilines.pages.arcs import picture_name
 from omnilines.pages.directions import directions_data, directions_summary, write_direction_pictures
 from omnilines.pipelines.arcs import SHORT_ARCS, extract
-from omnilines.pipelines.directions import ARCS, COVARIANCE, DIRECTIONS, POSES
+from omnilines.pipelines.directions import ARCS, COVARIANCE, DIRECTIONS, POSES, require_one
 from omnilines.pipelines.directions import directions as pipeline
 from omnilines.progress import ProgressCallback, silent
 from omnilines.structure.options import DirectionsOptions
@@ -46,6 +46,7 @@ def directions(
     Only where the image `mask` is white is looked at, or that which each photo or camera has in the folder `mask`. Arcs are kept
     in `out/work`. Raises InputError as `pipelines.arcs.extract` and `pipelines.directions.directions` do.
     """
+    require_one(orthogonal, vertical)
     refs = with_masks(find_photos(photos), mask)
     cameras = read_cameras(calibration, refs)
     require_distinct_stems(refs)

@@ -148,7 +148,7 @@ def calibrate(
         raise InputError(
             "`image_size` was expected with a table of corners alone, found it beside another argument; leave it out."
         )
-    for one in (options, detection, lines):
+    for one in (replace(options, **fields), detection, lines):
         require_ranges(one)
     known = {
         "boards": boards is not None,

@@ -17,6 +17,7 @@ from camera_models.typed import typed
 from omnilines.files import write_covariance, write_poses
 from omnilines.files.directions import write_directed_arcs, write_directions
 from omnilines.files.sets import claimed
+from omnilines.options import require_ranges
 from omnilines.pipelines.pages import claimed_report
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, on_all_cores, silent
@@ -24,7 +25,7 @@ from omnilines.provenance import provenance
 from omnilines.records import Detail, ImagePoses
 from omnilines.structure.circles import Circles
 from omnilines.structure.manhattan import manhattan_frame
-from omnilines.structure.meeting import Meeting, check_options, meeting_directions
+from omnilines.structure.meeting import Meeting, meeting_directions
 from omnilines.structure.options import DirectionsOptions
 from omnilines.structure.upright import level_axes, vertical_direction
 
@@ -171,9 +172,8 @@ def directions(
         >>> len(found.photos), found.photos[0].names
         (6, ('x', 'y', 'z'))
     """
-    if orthogonal and vertical:
-        raise InputError("One of `orthogonal` and `vertical` was expected, found both; a frame has the vertical as its z.")
-    check_options(options)
+    require_one(orthogonal, vertical)
+    require_ranges(options)
     wanted = Wanted.FRAME if orthogonal else Wanted.VERTICAL if vertical else Wanted.ALL
 
     def look(found: FoundArcs) -> FoundDirections:
@@ -182,6 +182,12 @@ def directions(
 
     photos = on_all_cores(look, arcs.used, "finding directions", progress)
     return PhotoDirections(arcs, tuple(photos), wanted, {**arcs.inputs, "wanted": wanted.value, "directions": options})
+
+
+def require_one(orthogonal: bool, vertical: bool) -> None:
+    """Raises InputError where both are asked for."""
+    if orthogonal and vertical:
+        raise InputError("One of `orthogonal` and `vertical` was expected, found both; a frame has the vertical as its z.")
 
 
 def _found(arcs: FoundArcs, model: CameraModel, wanted: Wanted, options: DirectionsOptions) -> FoundDirections:

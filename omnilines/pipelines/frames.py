@@ -16,6 +16,7 @@ from omnilines.files.split import Split
 from omnilines.files.videos import open_videos
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import Instant, stillest
+from omnilines.options import require_ranges
 from omnilines.pipelines.chosen_frames import ChosenFrames, frames_of_scene, frames_of_targets, image_name, with_runs
 from omnilines.pipelines.instants import Lens, instants_of, lenses_of
 from omnilines.pipelines.looked_frames import FrameSearch
@@ -62,6 +63,8 @@ def frames(
         >>> len(found.corners.images) == len(chosen.taken)
         True
     """
+    require_ranges(detection)
+    require_ranges(options)
     given = [videos] if isinstance(videos, str | Path) else list(videos)
     sources = open_videos(given)
     if not sources:

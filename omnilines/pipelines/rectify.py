@@ -23,6 +23,7 @@ from omnilines.extraction import ExtractionOptions
 from omnilines.files import Photo, Photos, photos_at_once, photos_of
 from omnilines.files.orientation import by_camera
 from omnilines.files.photos import READ_BYTES_PER_PIXEL
+from omnilines.options import require_ranges
 from omnilines.photo_size import wrong_size
 from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos, none_usable
 from omnilines.pipelines.rectified import Grids, OneView, RectifiedViews, cam_from_axis, view_from_camera
@@ -73,6 +74,8 @@ def rectify(
         >>> len(views), {pixels.shape for _, pixels in views.pixels()}
         (36, {(100, 100, 3)})
     """
+    require_ranges(extraction)
+    require_ranges(options)
     cameras, found = calibration_of(camera), photos_of(photos)
     table = poses.poses if isinstance(poses, PhotoPoses) else poses
     targets = views(view, size, fov_deg, yaw_deg, pitch_deg)

@@ -20,7 +20,7 @@ from omnilines.pipelines.photo_arcs import FoundArcs
 from omnilines.progress import ProgressCallback, on_all_cores
 from omnilines.records import Detail
 from omnilines.structure.circles import Circles
-from omnilines.structure.meeting import check_options, largest_sigma
+from omnilines.structure.meeting import largest_sigma
 from omnilines.structure.options import DirectionsOptions
 from omnilines.structure.upright import level_axes
 
@@ -80,10 +80,9 @@ def levels_of(
     """How each group of photos by camera, those of one instant, or each photo alone, is turned level. Arcs are kept in the folder
     `work`, where one is given.
 
-    Raises InputError where no photo of a camera can be used or an option is out of its range, GeometryError where no photo shows
+    Raises InputError where no photo of a camera can be used, GeometryError where no photo shows
     the vertical.
     """
-    check_options(options)
     arcs = _arcs_of(groups, cameras, extraction, work, progress)
 
     def look(name: str) -> Level | None:

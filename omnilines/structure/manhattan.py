@@ -80,8 +80,8 @@ def _tried_frames(
     kept: list[np.ndarray] = []
     while len(frames) and len(kept) < options.refined:
         kept.append(frames[0])
-        near = np.abs(frames @ frames[0].T).max(-1) > math.cos(options.separation_rad)
-        frames = frames[~near.all(-1)]
+        near = np.abs(frames[1:] @ frames[0].T).max(-1) > math.cos(options.separation_rad)
+        frames = frames[1:][~near.all(-1)]
     return kept
 
 

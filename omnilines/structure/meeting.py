@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from camera_models.errors import InputError
 from omnilines.structure.circles import Circles
 from omnilines.structure.mixture import Mixture, fitted
 from omnilines.structure.options import DirectionsOptions
@@ -25,7 +24,6 @@ SHARES = (0.01, 0.02, 0.05, 0.1, 0.2, 0.4, 0.7)
 STRAYS_TOLD_APART = 20
 SAME_SIGMAS = 3.0
 """Circles nearer to each other, in standard deviations, are those of one line."""
-LEAST_ANGLE_RAD = 1e-5
 AT_ONCE = 4000
 """Directions compared at a time, which bounds the memory."""
 
@@ -106,21 +104,6 @@ def _best(
     return None
 
 
-def check_options(options: DirectionsOptions) -> None:
-    """Raises InputError where options are out of their range."""
-    strays = options.strays_rad
-    if not strays or min(strays) < 0 or max(strays) > 0.5 or list(strays) != sorted(strays):
-        raise InputError(f"Strays in ascending order, from 0 to 0.5 rad, were expected, found {strays}; give some in this range.")
-    for value, what in ((options.tried_rad, "stray while directions are tried"), (options.separation_rad, "separation")):
-        if not LEAST_ANGLE_RAD <= value <= 0.5:
-            raise InputError(f"A {what} of {LEAST_ANGLE_RAD:g} to 0.5 rad was expected, found {value:g}; give one in this range.")
-    for value, what in ((options.share, "share"), (options.false_directions, "number of false directions")):
-        if not 0 < value <= 1:
-            raise InputError(f"A {what} above 0, and of 1 at most, was expected, found {value:g}; give one in this range.")
-    if min(options.used_arcs, options.paired_arcs) < 2:
-        raise InputError("Two arcs or more were expected as those used and paired, found fewer; give larger numbers.")
-
-
 def line_weights(circles: Circles, same_rad: float) -> Float[np.ndarray, " n"]:
     """Of each arc, so that those of one line add up to one: the middle of each lies on the circle of the other, and their normals
     agree, as far as is known and to a standard deviation of `same_rad`."""
@@ -162,7 +145,7 @@ def apart(
     kept: list[np.ndarray] = []
     while len(direction) and (most is None or len(kept) < most):
         kept.append(direction[0])
-        direction = direction[np.abs(direction @ direction[0]) < cosine]
+        direction = direction[1:][np.abs(direction[1:] @ direction[0]) < cosine]
     return np.array(kept).reshape(-1, 3)
 
 

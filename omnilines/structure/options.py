@@ -130,7 +130,7 @@ class DirectionsOptions(Options):
     tried_rad: float = math.radians(0.5)
     """Standard deviation by which parallel lines stray, while directions are tried, and up to which circles are one line."""
     strays_rad: tuple[float, ...] = tuple(math.radians(t) for t in (0.0, 0.01, 0.03, 0.06, 0.1, 0.2, 0.3, 0.4, 0.6, 1.0))
-    """Standard deviations by which lines may stray, in ascending order; which one it is is found from the arcs."""
+    """Standard deviations by which lines may stray; which one it is is found from the arcs."""
     share: float = 0.05
     """Of the arcs, those of a direction, while directions are tried."""
     false_directions: float = 1e-3
