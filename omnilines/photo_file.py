@@ -99,6 +99,10 @@ def _upright(pixels: Shaped[np.ndarray, "h w"], orientation: int) -> Shaped[np.n
     return stood[:: -1 if orientation in (3, 4, 7, 8) else 1, :: -1 if orientation in (2, 3, 6, 7) else 1]
 
 
+_OF_PHONES = {b"ftyp" + brand for brand in (b"heic", b"heix", b"hevc", b"heim", b"mif1", b"msf1", b"avif", b"avis")}
+"""In the beginning of photos of phones, which are renamed to .jpg at times."""
+
+
 def _decoded(content: bytes, name: str, flags: int) -> UInt[np.ndarray, "h w *channels"]:
     """The pixels, of which OpenCV's flags say which channels they have."""
     data = np.frombuffer(content, dtype=np.uint8)
@@ -110,6 +114,8 @@ def _decoded(content: bytes, name: str, flags: int) -> UInt[np.ndarray, "h w *ch
             pixels = cv2.imdecode(data, flags)
     except cv2.error:
         pixels = None
+    if pixels is None and content[4:12] in _OF_PHONES:
+        raise InputError(f"The image {name} is HEIC or AVIF, whatever its name says, which is not read; convert it to JPEG.")
     if pixels is None:
         raise InputError(f"The image {name} cannot be decoded: it is damaged, cut short or of another format; copy it again.")
     if pixels.dtype not in (np.uint8, np.uint16):

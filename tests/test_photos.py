@@ -293,3 +293,15 @@ def test_photos_are_read_with_standard_error_closed(tmp_path: Path) -> None:
     script = "import os, sys; os.close(2); from omnilines.files import read_photo; print(read_photo(sys.argv[1]).shape)"
     done = subprocess.run([sys.executable, "-c", script, str(tmp_path / "a.png")], capture_output=True, text=True, timeout=120)
     assert done.stdout.strip() == "(3, 5)"
+
+
+def test_photos_of_phones_are_named_as_what_they_are(tmp_path: Path) -> None:
+    """A folder of them was said to hold no image, and one called .jpg to be damaged: "copy it again"."""
+    heic = b"\0\0\0\x18ftypheic" + bytes(100)
+    (tmp_path / "IMG_1.HEIC").write_bytes(heic)
+    with pytest.raises(InputError, match=r"IMG_1\.HEIC is of a format that is not read: convert it to JPEG"):
+        find_photos([tmp_path])
+    (tmp_path / "IMG_2.jpg").write_bytes(heic)
+    (photo,) = find_photos([tmp_path])
+    with pytest.raises(InputError, match=r"IMG_2\.jpg is HEIC or AVIF, whatever its name says, which is not read; convert it"):
+        photo.read()

@@ -22,6 +22,8 @@ from omnilines.photo_size import may_have_16_bits, size_of_photo
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".pgm")
+UNREAD_SUFFIXES = (".heic", ".heif", ".avif", ".jxl", ".gif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".rw2", ".orf")
+"""Of photos of phones and cameras that have to be converted."""
 _FIRST_BYTES = 64
 """Of a photo, that say whether it may have 16 bits."""
 READ_BYTES_PER_PIXEL = 6
@@ -172,7 +174,9 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
             found[os.path.abspath(path)] = None
     if not found:
         named = " ".join(map(str, paths)) or "an empty list of paths"
-        raise InputError(f"No image found in {named}; expected files ending in {' '.join(PHOTO_SUFFIXES)}.")
+        other = next((name for path in map(Path, paths) for name in _unread_in(path)), None)
+        convert = "" if other is None else f"; {other} is of a format that is not read: convert it to JPEG"
+        raise InputError(f"No image found in {named}; expected files ending in {' '.join(PHOTO_SUFFIXES)}{convert}.")
     root = os.path.commonpath(folders)
     photos = [PhotoRef(Path(path), Path(os.path.relpath(path, root)).as_posix()) for path in found]
     for photo in photos:
@@ -181,6 +185,11 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
         if not is_text(photo.name):
             raise InputError(f"The name of the image {photo.name!r} holds characters that are not text; rename it.")
     return sorted(photos, key=lambda photo: _natural(photo.name))
+
+
+def _unread_in(folder: Path) -> list[str]:
+    """Names of photos right in a folder that have to be converted."""
+    return [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in UNREAD_SUFFIXES] if folder.is_dir() else []
 
 
 def _photos_in(folder: Path) -> Iterator[str]:
