@@ -41,7 +41,11 @@ def read_kept(path: Path, inputs: str) -> dict[str, np.ndarray] | None:
     archive = content[:-SEAL_BYTES]
     if content[-SEAL_BYTES:] != _seal(archive, inputs):
         return None
-    with _ONE_HEADER, np.load(io.BytesIO(zlib.decompress(archive))) as file:
+    try:
+        plain = zlib.decompress(archive)
+    except zlib.error:  # of a version that did not compress
+        return None
+    with _ONE_HEADER, np.load(io.BytesIO(plain)) as file:
         return dict(file)
 
 
