@@ -33,6 +33,7 @@ from camera_models.pose import Pose
 from omnilines.calibration.rig.alone import CameraSetup
 from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.rig.joint import RigData
+from omnilines.calibration.rig.near import CornerNoise
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.views import RigViews
@@ -49,7 +50,9 @@ def bound_of(rig: RigScene) -> torch.Tensor:
     views = RigViews.of(rig.corners, rig.names, "fixed")
     count, bases = len(rig.names), tuple(model.calibration_basis() for model in rig.models)
     relative = np.ones(len(rig.corners))
-    data = RigData(views, tuple(range(count)), (0,), bases, (NOISE_PX,) * count, relative, rig.corners.board_m)
+    data = RigData(
+        views, tuple(range(count)), (0,), bases, (CornerNoise(NOISE_PX, NOISE_PX, 0.0),) * count, relative, rig.corners.board_m
+    )
     points, _, _ = data.points(np.arange(len(views.camera)))
     frames = torch.tensor([int(frame) for frame in views.frames])
     truth = RigState(rig.models, rig.cam_from_rig, Pose.identity(1), rig.rig_from_board[frames])
@@ -236,6 +239,24 @@ def test_gross_errors_are_rejected_and_views_too_small_alone_are_used():
     assert not missed.any() and (result.kept | wrong[keep]).mean() > 0.995
     turn, shift = worst_pose_error(result, rig)
     assert turn < 0.1 and shift < 1e-3
+
+
+@pytest.mark.parametrize("factors", [(1.0, 5.0), (5.0, 1.0), (1.0, 0.2)])
+def test_what_one_camera_states_wrongly_spoils_no_corners_of_another(factors: tuple[float, float]) -> None:
+    """One scale for all cameras rejected a fifth of the good corners beside one whose noise is stated five times too large."""
+    rig = pair(30)
+    corners, rng = rig.noisy(NOISE_PX, 1), np.random.default_rng(0)
+    camera = np.array([int(name[3:]) for name in rig.corners.cameras or ()])[corners.view]
+    false = rng.uniform(size=len(corners)) < 0.02
+    angle, length = rng.uniform(0, 2 * math.pi, false.sum()), rng.uniform(1.5, 4.0, false.sum())
+    corners.pixels[false] += np.column_stack([length * np.cos(angle), length * np.sin(angle)])
+    sigma_px = NOISE_PX * np.array(factors)[camera]
+    found = calibrate_rig(replace(corners, sigma_px=sigma_px), setups(rig))
+    assert not found.kept[false].any() and false.sum() > 50
+    # Of normal residuals one in 25,000 is that far off.
+    assert (~found.kept[~false]).mean() < 1e-3
+    said = [note for note in found.notes if "times as far from where it sees them" in note]
+    assert len(said) == 1 and f"cam{int(np.argmax(np.abs(np.log(factors))))}" in said[0]
 
 
 def test_malformed_rigs_are_refused():

@@ -50,19 +50,24 @@ class RobustTask:
         return whitened(state.residual_px(self.points), self.weight)
 
     def judged(self, state: CameraAndBoards, unknowns: int) -> RobustFit:
-        """The scale of the residuals of a state, and the corners that are near enough.
-
-        What residuals are larger by than corners are stated to be (a board that bends, a model that does not suit) is as large
-        for all: with a corner of weight w that is stated to s / w the limit is that of (scale^2 - s^2) + s^2 / w^2.
-        """
+        """The scale of the residuals of a state, and the corners that are near enough."""
         residual = self.residual_px(state)
         share = self.thresholds.many_unknowns_share
         scale = max(robust_scale_px(residual, share, unknowns), LEAST_SCALE_PX)
         weight = torch.ones(len(residual), dtype=residual.dtype) if self.weight is None else self.weight
-        noise = min(scale, self.stated_px)
-        own = ((scale**2 - noise**2) * weight**2 + noise**2).sqrt()
+        residuals = residual.new_full((), scale)
+        own = own_scale(residuals, residuals.clamp_max(self.stated_px), weight)
         limit = self.thresholds.reject_sigma
         return RobustFit(state, residual.norm(dim=-1) <= limit * own, scale, limit * scale)
+
+
+def own_scale(scale: Float[Tensor, "*n"], noise: Float[Tensor, "*n"], weight: Float[Tensor, " n"]) -> Float[Tensor, " n"]:
+    """By which the weighted residual of each corner is judged.
+
+    What residuals are larger by than corners are stated to be (a board that bends, a model that does not suit) is as large for
+    all: with a corner of weight w that is stated to s / w the unweighted one is the root of (scale^2 - s^2) + s^2 / w^2.
+    """
+    return ((scale**2 - noise**2) * weight**2 + noise**2).sqrt()
 
 
 def robust_fit(

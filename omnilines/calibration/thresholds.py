@@ -256,7 +256,7 @@ class RigThresholds(NamedTuple):
     apart_turn_deg: float = 5.0
     """Root mean square turn about a second axis that this takes: poses of single photos do not tell less from their noise."""
     as_good_as_alone_factor: float = 1.05
-    """Scale of whitened residuals up to which corners fit the rig as well as each camera alone."""
+    """Times the noise of each camera alone, up to which its corners fit the rig as well."""
     worse_than_alone_factor: float = 1.08
     """A camera whose corners fit the rig worse than this many times as well as alone is named."""
     named_share: float = 0.1

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from camera_models.repeatable import total
 from omnilines.least_squares.levenberg_marquardt import LEAST_DAMPING, Minimum, Outcome, Progress, S, Step, minimise
-from omnilines.least_squares.losses import Loss
+from omnilines.least_squares.losses import Loss, LossFunction
 from omnilines.least_squares.schur import (
     CellLinearisation,
     Linearisation,
@@ -127,7 +127,7 @@ def constrained_inverse(matrix: Float[Tensor, "k k"], gauge: Float[Tensor, "k g"
 class DenseEngine(Generic[S]):
     """Any problem: batched products in torch and a dense reduced system."""
 
-    def __init__(self, problem: Problem[S], state: S, loss: Loss, converge: Callable[[S], S] | None = None) -> None:
+    def __init__(self, problem: Problem[S], state: S, loss: LossFunction, converge: Callable[[S], S] | None = None) -> None:
         """`converge` takes the eliminated blocks of a state to lower costs of their own, after every step."""
         self.problem, self.loss, self.converge = problem, loss, converge
         self._trial: tuple[S, Linearisation | CellLinearisation, Tensor] | None = None
@@ -170,7 +170,7 @@ class DenseEngine(Generic[S]):
 def solve(
     problem: Problem[S],
     state: S,
-    loss: Loss | None = None,
+    loss: LossFunction | None = None,
     *,
     max_iterations: int = 100,
     tolerance: float = 1e-12,

@@ -99,7 +99,7 @@ def _sigmas(outcome: RigOutcome, member: int, covariance: Float[Tensor, "p p"]) 
     board_m = outcome.solution.state.shape.place(torch.as_tensor(data.board_m[rows]))
     points = BoardPoints(torch.as_tensor(place), len(views), board_m, torch.as_tensor(corners.pixels[rows]))
     begin = CameraAndBoards(model, resect_boards(points, model.unproject(points.pixels)[0]))
-    weight = torch.as_tensor(1 / (own.sigma_px * data.relative[rows]))
+    weight = torch.as_tensor(1 / (own.noise.sigma_px * data.relative[rows]))
     found = BoardProblem(points, basis, weight, AS_DRAWN).solve(begin)
     if found.outcome is Outcome.DEGENERATE:
         return None

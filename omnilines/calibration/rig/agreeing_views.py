@@ -38,7 +38,7 @@ def rig_data(views: RigViews, start: RigStart, alone: Mapping[int, AloneCamera])
             cameras=start.cameras,
             boards=start.boards,
             bases=tuple(own.basis for own in members),
-            sigma_px=tuple(own.sigma_px for own in members),
+            noise=tuple(own.noise for own in members),
             relative=relative,
             board_m=corners.board_m.copy(),
         ),
@@ -104,7 +104,7 @@ def _predicted(
         return lost
     points, lost, _ = data.points(lost)
     off = (fit.state.residual_px(points) * points.weight[:, None]).norm(dim=-1)
-    near = (off <= thresholds.robust.reject_sigma * fit.scale).to(torch.float64)
+    near = (off <= fit.scales.limits(points, thresholds.robust.reject_sigma)).to(torch.float64)
     share = torch.bincount(points.view, near) / torch.bincount(points.view)
     return lost[(share >= 0.5).numpy()]
 

@@ -1,6 +1,5 @@
 """Each camera of a rig by itself: calibrated anew, or begun from a calibration that is held or refined."""
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,6 +16,7 @@ from omnilines.calibration.initialise import BoardPoints, resect_boards
 from omnilines.calibration.intervals import stated_variance_px2
 from omnilines.calibration.options import AUTO
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards, whitened
+from omnilines.calibration.rig.near import CornerNoise
 from omnilines.calibration.robust import RobustFit, RobustTask, robust_fit
 from omnilines.calibration.screening import smooth_corners
 from omnilines.calibration.select import select_model
@@ -25,11 +25,7 @@ from omnilines.calibration.start import CameraKind
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.calibration.views import board_points, corner_weights, require_views, stated_rms_px, unusable_views, views_lost
 from omnilines.least_squares import Progress
-from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners
-
-LEAST_SIGMA_PX = 1e-4
-"""Corners are never weighted as better than this: of exact ones, rounding alone would decide the weights."""
 
 
 @dataclass(frozen=True)
@@ -66,8 +62,7 @@ class AloneCamera:
     views: Int[np.ndarray, " w"]
     """Views of the rig's table that have a pose."""
     cam_from_board: Pose
-    sigma_px: float
-    """Standard deviation of a corner per axis (of mean weight), from the residuals and their degrees of freedom."""
+    noise: CornerNoise
     rms_px_per_point: float
     kept: Bool[np.ndarray, " n"]
     """Of its corners, those that fit."""
@@ -131,13 +126,14 @@ def alone_camera(
     if setup.hold:
         basis = basis[:, :0]
     stated = stated_variance_px2(corners, np.ones(len(corners), dtype=bool), thresholds.noise.corner_floor_px)
-    residual_of_mean_weight = whitened(residual, None if weight is None else weight[kept])
+    squares = whitened(residual, None if weight is None else weight[kept]).square().sum()
+    freedom = max(1, residual.numel() - 6 * len(good) - basis.shape[1])
     return AloneCamera(
         model=state.model,
         basis=basis,
         views=numbers[[usable[v] for v in good]],
         cam_from_board=poses,
-        sigma_px=_sigma_px(residual_of_mean_weight, 6 * len(good) + basis.shape[1], stated, thresholds.noise.significance),
+        noise=CornerNoise.of(float(squares), freedom, stated, thresholds.noise.significance),
         rms_px_per_point=float(residual.square().sum(-1).mean().sqrt()),
         kept=fitting & np.isin(corners.view, [usable[v] for v in good]),
         refusals={int(numbers[v]): reason for v, reason in refusals.items()},
@@ -197,11 +193,3 @@ def _begun(
     start = CameraAndBoards(model, resect_boards(clean, bearings))
     task = RobustTask(points, clean, weight, "cauchy" if loss == "none" else loss, thresholds.robust, stated_px)
     return robust_fit(task, start, basis=basis[:, :0] if hold else basis)
-
-
-def _sigma_px(residual: Float[Tensor, "n 2"], unknowns: int, stated_px2: float | None, significance: float) -> float:
-    """Corners are never taken to be better than they are stated to be: what a detector leaves unmodelled is alike in neighbours,
-    so that residuals do not show all of it, and many corners do not average it out."""
-    freedom = max(1, residual.numel() - unknowns)
-    factor = variance_factor(float(residual.square().sum()), freedom, stated_px2, significance)
-    return max(math.sqrt(factor.value), LEAST_SIGMA_PX)

@@ -8,6 +8,7 @@ import torch
 
 from camera_models.pose import Pose
 from omnilines.calibration.rig.joint import RigData, RigFit
+from omnilines.calibration.rig.near import Scales
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 
@@ -22,7 +23,8 @@ def without_members(outcome: RigOutcome, members: Collection[int]) -> RigOutcome
     kept = np.zeros(len(data.views.corners), dtype=bool)
     kept[fit.rows] = fit.kept.numpy()
     state = state_of(outcome.solution.state, left)
-    smaller = RigFit(points, fewer.problem(points), ordered, rows, state, torch.as_tensor(kept[rows]), fit.scale)
+    scales = Scales(fit.scales.scale[left], fewer.noise)
+    smaller = RigFit(points, fewer.problem(points), ordered, rows, state, torch.as_tensor(kept[rows]), scales)
     return replace(outcome, data=fewer, fit=smaller, solution=replace(outcome.solution, state=state))
 
 
@@ -31,7 +33,7 @@ def _data(data: RigData, left: list[int]) -> RigData:
         data,
         cameras=tuple(data.cameras[k] for k in left),
         bases=tuple(data.bases[k] for k in left),
-        sigma_px=tuple(data.sigma_px[k] for k in left),
+        noise=tuple(data.noise[k] for k in left),
     )
 
 

@@ -8,13 +8,12 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
-from omnilines.calibration.refine import robust_scale_px
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig, robust_rig_fit
+from omnilines.calibration.rig.near import Scales
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.path import Path, followed
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.seen_alone import SeenAlone
-from omnilines.calibration.robust import LEAST_SCALE_PX
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Solution
 
@@ -77,15 +76,16 @@ def _of_fitting_views(data: RigData, seen: SeenAlone, fit: RigFit, thresholds: C
     count, losses = torch.bincount(points.view, minlength=len(every)), np.zeros(len(every), dtype=int)
     while True:
         residual = (fit.state.residual_px(points) * points.weight[:, None]).nan_to_num(torch.inf)
-        scale = max(robust_scale_px(residual[of_scale], limits.many_unknowns_share), LEAST_SCALE_PX)
-        near = residual.norm(dim=-1) <= limits.reject_sigma * scale
+        some = points.chosen(of_scale)
+        scales = Scales.of(residual[of_scale], some, data.noise, limits)
+        near = residual.norm(dim=-1) <= scales.limits(points, limits.reject_sigma)
         share = torch.bincount(points.view, near.to(torch.float64), minlength=len(every)) / count
         good = (share >= LEAST_SHARE).numpy()
         losses += ~good & np.isin(every, fit.views)
         chosen = _followable(data, seen, every[good & (losses < 2)])
         if np.array_equal(chosen, np.sort(fit.views)):
             kept = np.isin(fit.rows, rows[near.numpy()])
-            return replace(fit, kept=torch.as_tensor(kept), scale=scale)
+            return replace(fit, kept=torch.as_tensor(kept), scales=scales)
         if not len(chosen):
             return None
         fit = robust_rig_fit(data, chosen, fit.state, "cauchy", thresholds)

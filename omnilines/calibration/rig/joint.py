@@ -10,15 +10,15 @@ from torch import Tensor
 
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.redundancy import basis_without, redundant_parameter
-from omnilines.calibration.refine import robust_scale_px
+from omnilines.calibration.rig.near import CornerNoise, Scales
 from omnilines.calibration.rig.own_motion import OwnMotion
 from omnilines.calibration.rig.points import RigPoints
 from omnilines.calibration.rig.problem import RigProblem, RigState
 from omnilines.calibration.rig.runs import Runs
 from omnilines.calibration.rig.views import RigViews
-from omnilines.calibration.robust import CONVERGED, LEAST_SCALE_PX, PASSES
+from omnilines.calibration.robust import CONVERGED, PASSES
 from omnilines.calibration.thresholds import CalibrationThresholds, RobustThresholds
-from omnilines.least_squares import Loss, Outcome, Progress, Solution, solve
+from omnilines.least_squares import Outcome, Progress, Solution, solve
 
 TOLERANCE = 1e-10
 """Relative decrease of the cost at which least squares ends: with 20,000 corners that is a thousandth of a standard deviation."""
@@ -49,8 +49,8 @@ class RigData:
     """Members among the boards of a target, that of its frame first."""
     bases: tuple[Float[Tensor, "_ _"], ...]
     """Directions along which each member's parameters are refined."""
-    sigma_px: tuple[float, ...]
-    """Standard deviation of each member's corners per axis, alone."""
+    noise: tuple[CornerNoise, ...]
+    """Of each member's corners, alone."""
     relative: Float[np.ndarray, " n"]
     """Standard deviation of every corner over the root mean square of those of its camera."""
     board_m: Float[np.ndarray, "n 3"]
@@ -93,7 +93,7 @@ class RigData:
         rows = rows[np.argsort(place[corners.view[rows]], kind="stable")]
         camera = member[views.camera[ordered]]
         of_row = camera[place[corners.view[rows]]]
-        sigma = np.array(self.sigma_px)[of_row] * self.relative[rows]
+        sigma = np.array([own.sigma_px for own in self.noise])[of_row] * self.relative[rows]
         row_px, order = None, self.readout
         if order is not None:
             row_px = torch.as_tensor(corners.pixels[rows, order.axis[of_row]] - order.middle_px[of_row])
@@ -130,8 +130,7 @@ class RigFit:
     """Rows of the table that `points` hold."""
     state: RigState
     kept: Bool[Tensor, " n"]
-    scale: float
-    """Of the whitened residuals: 1 where corners fit the rig as well as their own camera alone."""
+    scales: Scales
 
     @property
     def share_kept(self) -> Float[Tensor, " v"]:
@@ -142,23 +141,27 @@ class RigFit:
 
 
 def judged(
+    data: RigData,
     problem: RigProblem,
     views: Int[np.ndarray, " v"],
     rows: Int[np.ndarray, " n"],
     state: RigState,
     thresholds: RobustThresholds,
+    before: Scales | None = None,
 ) -> RigFit:
     """The corners near enough to a state."""
-    residual = problem.linearise(state).residual
-    scale = max(robust_scale_px(residual, thresholds.many_unknowns_share), LEAST_SCALE_PX)
+    residual, points = problem.linearise(state).residual, problem.points
+    scales = Scales.of(residual, points, data.noise, thresholds)
+    if before is not None:
+        scales = scales.after(before)
     return RigFit(
-        points=problem.points,
+        points=points,
         problem=problem,
         views=views,
         rows=rows,
         state=state,
-        kept=residual.norm(dim=-1) <= thresholds.reject_sigma * scale,
-        scale=scale,
+        kept=residual.norm(dim=-1) <= scales.limits(points, thresholds.reject_sigma),
+        scales=scales,
     )
 
 
@@ -167,7 +170,7 @@ def not_fitted(data: RigData, chosen: Int[np.ndarray, " v"], state: RigState) ->
     points, views, rows = data.points(chosen)
     problem = data.problem(points)
     kept = torch.ones(len(points.view), dtype=torch.bool)
-    return RigFit(points, problem, views, rows, state, kept, 1.0), solve(problem, state, max_iterations=0)
+    return RigFit(points, problem, views, rows, state, kept, Scales.alone(data.noise)), solve(problem, state, max_iterations=0)
 
 
 def robust_rig_fit(
@@ -183,15 +186,16 @@ def robust_rig_fit(
     points, views, rows = data.points(chosen)
     problem = data.problem(points)
     limits = thresholds.robust
-    fit = judged(problem, views, rows, state, limits)
+    fit, alone = judged(data, problem, views, rows, state, limits), Scales.alone(data.noise).scale
     for done in range(PASSES):
         # The first passes only have to bring the scale down.
-        scaled = Loss("cauchy" if loss == "none" else loss, limits.loss_scale * fit.scale)
+        scaled = fit.scales.loss("cauchy" if loss == "none" else loss, points, limits.loss_scale)
         solution = solve(problem, fit.state, scaled, tolerance=1e-3 if done == 0 else 1e-4, callback=callback)
-        before, fit = fit, judged(problem, views, rows, solution.state, limits)
+        before, fit = fit, judged(data, problem, views, rows, solution.state, limits, fit.scales)
         # Where corners fit the rig as well as their own cameras, nothing more is to be gained.
-        same = bool((fit.kept == before.kept).all()) and fit.scale > (1 - CONVERGED) * before.scale
-        if fit.scale < thresholds.rig.as_good_as_alone_factor or same:
+        settled = bool((fit.scales.scale > (1 - CONVERGED) * before.scales.scale).all())
+        as_alone = bool((fit.scales.scale < thresholds.rig.as_good_as_alone_factor * alone).all())
+        if as_alone or (settled and bool((fit.kept == before.kept).all())):
             break
     return fit
 

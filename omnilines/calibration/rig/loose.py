@@ -21,6 +21,7 @@ from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.rig.excess import excess_note
 from omnilines.calibration.rig.followed import NOT_FOLLOWED
 from omnilines.calibration.rig.joint import RigData, RigFit, least_squares_rig
+from omnilines.calibration.rig.near import Scales
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.own_motion import OwnMotion, alone
 from omnilines.calibration.rig.points import RigPoints
@@ -129,7 +130,7 @@ def loose_fit(
         sigma = _sigma(sigma, views, points, shared, shutters)
         loose = replace(data, motion=OwnMotion(torch.as_tensor(sigma), middle))
         points, views, rows = loose.points(chosen)
-        start_fit = RigFit(points, loose.problem(points), views, rows, state, kept, 1.0)
+        start_fit = RigFit(points, loose.problem(points), views, rows, state, kept, Scales.alone(loose.noise))
         loose, whole, solution, notes = least_squares_rig(loose, start_fit, "cauchy")
         state, found = solution.state, LooseFit(loose, whole, solution, shutters, notes, reasons)
         if before is not None and shutters.change(before) < SAME:

@@ -8,7 +8,7 @@ import torch
 from camera_models.formats.camera_doubts import model_doubts
 from camera_models.wording import rounded
 from omnilines.calibration.diagnose import coverage_notes
-from omnilines.calibration.intervals import few_notes, stated_variance_px2
+from omnilines.calibration.intervals import few_notes
 from omnilines.calibration.rig.against_alone import AgainstAlone
 from omnilines.calibration.rig.clocks import offsets_note
 from omnilines.calibration.rig.excess import excess_note
@@ -53,7 +53,7 @@ def rig_notes(
             )
         own = outcome.fit.points.camera[outcome.fit.points.view] == k
         pixels = outcome.fit.points.pixels[own]
-        rms_px, stated_px = member.rms_px_per_point / math.sqrt(2), outcome.data.sigma_px[k]
+        rms_px, stated_px = member.rms_px_per_point / math.sqrt(2), outcome.data.noise[k].sigma_px
         notes += [f"Camera {member.name}: {note}" for note in misfit_notes(rms_px, member.model.image_size, stated_px, doubt)]
         notes += [f"Camera {member.name}: {note}." for note in model_doubts(member.model)]
         notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
@@ -96,16 +96,21 @@ def _excess_notes(outcome: RigOutcome) -> list[str]:
 
 
 def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[str, ...]:
-    """Cameras whose corners are worse than stated, and that there are few."""
-    views, corners = outcome.data.views, outcome.data.views.corners
-    if corners.sigma_px is None:
-        return few_notes(outcome.factor, outcome.thresholds.noise.large_freedom)
-    found, floor_px = [], outcome.thresholds.noise.corner_floor_px
-    for member, c, sigma in zip(members, outcome.data.cameras, outcome.data.sigma_px, strict=True):
-        stated = math.sqrt(stated_variance_px2(corners, views.camera[corners.view] == c, floor_px) or 1.0)
-        if sigma > stated:
-            found.append(
-                f"Camera {member.name}: corners lie {sigma / stated:.3g} times as far from where it sees them as the "
-                f"{stated:.3g} px that are stated of them (chi-square test): the standard deviations follow the residuals."
+    """Cameras whose corners are other than stated, and that there are few."""
+    thresholds = outcome.thresholds.noise
+    if outcome.data.views.corners.sigma_px is None:
+        return few_notes(outcome.factor, thresholds.large_freedom)
+    told = []
+    for member, noise in zip(members, outcome.data.noise, strict=True):
+        stated = f"from where it sees them as the {noise.stated_px:.3g} px that are stated of them"
+        if noise.sigma_px > noise.stated_px:
+            told.append(
+                f"Camera {member.name}: corners lie {noise.sigma_px / noise.stated_px:.3g} times as far {stated} (chi-square "
+                "test): the standard deviations follow the residuals."
             )
-    return tuple(found)
+        elif noise.found_px < thresholds.well_below_share * noise.stated_px:
+            told.append(
+                f"Camera {member.name}: corners lie {rounded(noise.found_px / noise.stated_px)} times as far {stated}: they "
+                "count in the rig as little as is stated, and the standard deviations are on the safe side."
+            )
+    return tuple(told)

@@ -7,7 +7,6 @@ of the noise, or what runs contradict each other by (`by_frames.py`) where that 
 bends, moves corners too, but not in every run as the board moves.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +21,7 @@ from omnilines.calibration.rig.by_frames import spread_of_runs
 from omnilines.calibration.rig.clocks import moving_share
 from omnilines.calibration.rig.followed import Followed, followed_fit
 from omnilines.calibration.rig.joint import Readout, RigData, least_squares_rig
+from omnilines.calibration.rig.near import CornerNoise
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.runs import Runs, find_runs
@@ -29,7 +29,6 @@ from omnilines.calibration.rig.seen_alone import SeenAlone
 from omnilines.calibration.rig.views import RigViews
 from omnilines.calibration.thresholds import ClockThresholds
 from omnilines.least_squares import Outcome, solve
-from omnilines.least_squares.variance import variance_factor
 from omnilines.records import Corners
 
 ROWS, COLUMNS = 1, 0
@@ -82,15 +81,14 @@ def _reweighed(found: Followed, outcome: RigOutcome) -> Followed:
     squares = found.solution.state.residual_px(points).mul(points.weight[:, None]).square().sum(-1)
     camera = points.camera[points.view]
     freedom = replace(outcome, data=data, fit=fit, solution=found.solution).freedom
-    sigma_px = []
-    for k, (c, before_px) in enumerate(zip(data.cameras, data.sigma_px, strict=True)):
+    seen = []
+    for k, (c, before) in enumerate(zip(data.cameras, data.noise, strict=True)):
         own = camera == k
         stated_px2 = stated_variance_px2(corners, data.views.camera[corners.view] == c, noise.corner_floor_px)
-        stated = None if stated_px2 is None else stated_px2 / before_px**2
         share = freedom * float(own.to(torch.float64).mean())
-        factor = variance_factor(float(squares[own].sum()), max(1, round(share)), stated, noise.significance)
-        sigma_px.append(before_px * math.sqrt(factor.value))
-    weighed = replace(data, sigma_px=tuple(sigma_px))
+        squares_px2 = before.sigma_px**2 * float(squares[own].sum())
+        seen.append(CornerNoise.of(squares_px2, max(1, round(share)), stated_px2, noise.significance))
+    weighed = replace(data, noise=tuple(seen))
     points, views, rows = weighed.points(fit.views)
     begun = replace(fit, points=points, problem=weighed.problem(points), views=views, rows=rows)
     weighed, fit, solution, notes = least_squares_rig(weighed, begun, "cauchy" if outcome.rejects else "none")
