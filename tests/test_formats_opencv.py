@@ -227,9 +227,26 @@ def test_the_rig_of_calibrate_multiview(tmp_path: Path) -> None:
         ("models", np.array([0, 1]), "models must be a matrix of 3 numbers, found one of 2"),
         ("distortions", np.zeros(15), "as many coefficients for each pinhole camera, found 15"),
         ("cam_ids", ["a", "a", "b"], "cam_ids must be 3 different names, found 2"),
+        ("cam_ids", ["a", "null", "b"], "Each of cam_ids must be a name, found none of camera 1"),
     ):
         with pytest.raises(InputError, match=message):
             read(put(tmp_path / "bad.yaml", **saved | {key: value}))
+
+
+@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
+@pytest.mark.parametrize("name", ["true", "null", "yes", "12", "1e5", "~", "a b", "x: y", "it's", "#1", '"q"', "end ", "é"])
+def test_a_camera_of_any_name_comes_back_or_is_refused(name: str, suffix: str, tmp_path: Path) -> None:
+    names = [name, "left", "right"]
+    rig = {one: RigCamera(Pose.exp(torch.full((6,), 0.1 * index, dtype=torch.float64))) for index, one in enumerate(names)}
+    path, calibration = tmp_path / f"rig{suffix}", Calibration(dict.fromkeys(names, Pinhole.examples()[0]), rig=rig)
+    refused = name == '"q"' or (suffix == ".yml" and name in ("true", "null", "end "))
+    if refused:
+        with pytest.raises(InputError, match="Texts that OpenCV reads as it writes them were expected in cam_ids, found "):
+            write(path, calibration, "opencv")
+        assert not path.exists()
+    else:
+        write(path, calibration, "opencv")
+        assert list(read(path).calibration) == names
 
 
 def test_more_than_two_omnidirectional_cameras(tmp_path: Path) -> None:

@@ -93,6 +93,8 @@ def rig_data(calibration: Calibration, forms: list[Form]) -> dict[str, Any]:
 
 def _names(value: Any, count: int) -> list[str]:
     given = [] if value is None else value.tolist() if isinstance(value, np.ndarray) else list(value)
+    if None in given:
+        raise InputError(f"Each of cam_ids must be a name, found none of camera {given.index(None)}; write it in quotes.")
     names = [f"{name:g}" if isinstance(name, float) else str(name) for name in given] or [f"cam{index}" for index in range(count)]
     if len(names) != count or len(set(names)) != count:
         raise InputError(f"cam_ids must be {count} different names, found {len(set(names))}; correct them.")

@@ -91,9 +91,28 @@ def _parts(node: Any) -> list[Any]:
 
 
 def storage_text(data: Mapping[str, Any], suffix: str) -> str:
-    """What cv2.FileStorage writes of matrices, numbers, texts and lists of texts, in the syntax that the suffix asks for."""
+    """What cv2.FileStorage writes of matrices, numbers, texts and lists of texts, in the syntax that the suffix asks for.
+
+    Raises InputError for a text that it would read as another, or as none: it writes some without the quotes that they need.
+    """
     storage = cv2.FileStorage(_SYNTAX.get(suffix, ".yml"), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     for key, value in data.items():
         storage.write(key, value)
     written: str = storage.releaseAndGetString()
+    for key, value in data.items():
+        for text in value if isinstance(value, list) else ():
+            if not _comes_back(text, suffix):
+                raise InputError(f"Texts that OpenCV reads as it writes them were expected in {key}, found {text!r}; rename it.")
     return written
+
+
+def _comes_back(text: str, suffix: str) -> bool:
+    """Whether OpenCV reads a text as it writes it. In XML one text alone is no list."""
+    storage = cv2.FileStorage(_SYNTAX.get(suffix, ".yml"), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("texts", [text, "text"])
+    written = storage.releaseAndGetString()
+    try:
+        again = cv2.FileStorage(written, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
+    except (cv2.error, SystemError):
+        return False
+    return _value(again.getNode("texts"), "texts") == [text, "text"]
