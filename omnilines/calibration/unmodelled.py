@@ -9,28 +9,33 @@ equations of the camera (c) and the terms. With the camera re-estimated, it pull
 
 Where the terms are 0, U is; that it is, is tested by how much the pulls of single views differ (Hotelling's T^2: corners of one
 view count once, however many there are). The terms are then M^-1 U with M = S_ss - S_sc S_cc^-1 S_cs, and the camera moves along.
-Each kind is tested by itself, since one looks a little like the other: what lowers the squared residuals most is said.
+Each kind is tested by itself, since one looks a little like the other: what lowers the squared residuals most is said. Of a rig
+(`rig/unmodelled.py`) v are frames, and c is all that is kept: the board is the same for all its cameras.
 
 The pupil of a wide lens moves along the axis with the angle: rays of theta come from p theta^2 on it. A board near the camera
 shows so, and a camera calibrated with it is off where points are far.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import torch
 from jaxtyping import Float
 from scipy import stats
 from torch import Tensor
 
+from camera_models import CameraModel
 from camera_models.wording import rounded
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.uncertainty import projection_covariance_px2, projection_jacobian, supported_grid, worst_sigma_px
 from omnilines.least_squares import Linearisation
+from omnilines.least_squares.groups import Groups
 
+K = TypeVar("K")
 Kind = Literal["flatness", "aspect", "pupil"]
 """What is tested: of `options.REFINABLE`, and the place of the pupil."""
 REMEDIES: dict[Kind, str] = {
@@ -57,15 +62,22 @@ class Unmodelled:
     stated_px: float
     chance: float
     """Of as much by any of the kinds, where there is none."""
+    camera: str = ""
+    """Of a rig, whose projection that is."""
 
     @property
     def limit(self) -> str:
         """What it does, one sentence."""
         return (
-            f"{self._said} estimated the projection{' of far points' if self.kind == 'pupil' else ''} moves by "
+            f"{self._said} estimated the projection{self._of_what} moves by "
             f"{rounded(self.moved_px)} px, more than the {rounded(self.stated_px)} px that are stated (root mean squares where "
             "corners lie)"
         )
+
+    @property
+    def _of_what(self) -> str:
+        far = " of far points" if self.kind == "pupil" else ""
+        return far + (f" of camera {self.camera}" if self.camera else "")
 
     @property
     def _said(self) -> str:
@@ -80,9 +92,10 @@ class Unmodelled:
                 f"The squares of the board are not as drawn: all photos agree that they are {rounded(100 * abs(self.size))} "
                 f"percent {more} beside their width. With this"
             )
+        camera = f"camera {self.camera}" if self.camera else "the camera"
         way = "towards the scene" if self.size > 0 else "away from the scene"
         return (
-            f"The rays of the camera do not meet in one point: all photos agree that those {self.reach_deg:.0f} degrees off axis "
+            f"The rays of {camera} do not meet in one point: all photos agree that those {self.reach_deg:.0f} degrees off axis "
             f"meet the axis about {rounded(1e3 * abs(self.size))} mm {way}. With this"
         )
 
@@ -98,7 +111,7 @@ class Unmodelled:
         return f"{self.limit}: {held}. {self.remedy}"
 
 
-class _PupilProblem(BoardProblem):
+class PupilProblem(BoardProblem):
     """With one more column in the kept block: p of the pupil, metres a squared radian."""
 
     def _linearised(self, state: CameraAndBoards) -> Linearisation:
@@ -111,15 +124,35 @@ class _PupilProblem(BoardProblem):
 
 
 @dataclass(frozen=True, eq=False)
-class _Freed:
-    """By how much freed terms, and the camera along its basis, move."""
+class Freed:
+    """By how much freed terms, and all else that is kept, move."""
 
-    kind: Kind
     terms: Float[Tensor, " s"]
     step: Float[Tensor, " q"]
     gain: float
     """By how much that lowers the squared residuals, in those of corners of weight 1."""
     chance: float
+
+    @staticmethod
+    def of(each: Groups, terms: slice) -> "Freed | None":
+        """Of what each view adds to the normal equations; `terms` are their columns. None of too few views."""
+        views, kept = each.gradient.shape
+        freed = list(range(kept))[terms]
+        rest = [column for column in range(kept) if column not in freed]
+        count, total = len(freed), each.matrix.sum(0)
+        if views <= count + 1:
+            return None
+        within = total[rest][:, rest]
+        scale = within.diagonal().clamp_min(1e-300).rsqrt()
+        coupling = total[rest][:, freed]
+        follow = scale[:, None] * torch.linalg.solve(scale[:, None] * within * scale, scale[:, None] * coupling)
+        pull = each.gradient[:, freed] - each.gradient[:, rest] @ follow
+        apart = pull - pull.mean(0)
+        scatter = apart.mT @ apart * views / (views - 1)
+        whole = pull.sum(0)
+        statistic = float(whole @ torch.linalg.pinv(scatter, hermitian=True) @ whole) * (views - count) / (count * (views - 1))
+        by = torch.linalg.solve(total[freed][:, freed] - coupling.mT @ follow, whole)
+        return Freed(by, -follow @ by, float(whole @ by), float(stats.f.sf(statistic, count, views - count)))
 
 
 def unmodelled(
@@ -136,50 +169,53 @@ def unmodelled(
     corners lie."""
     if not basis.shape[1]:
         return None
-    tried = [_freed(kind, points, state, basis, weight) for kind in get_args(Kind)]
-    beyond_chance = [one for one in tried if one is not None and len(tried) * one.chance < significance]
-    if not beyond_chance:
+    tried = {kind: _freed(kind, points, state, basis, weight) for kind in get_args(Kind)}
+    found = beyond_chance(tried, significance)
+    if found is None:
         return None
-    found = max(beyond_chance, key=lambda one: one.gain)
-    grid = supported_grid(state.model, reach_rad[1], reach_rad[0])
-    jacobian, valid = projection_jacobian(state.model, grid, grid)
-    moved = float((jacobian[valid] @ (basis @ found.step)).square().sum(-1).mean().sqrt())
-    stated, _ = projection_covariance_px2(state.model, covariance, grid[valid], grid)
-    stated_px = float(worst_sigma_px(stated).square().mean().sqrt())
-    if moved <= stated_px:
+    kind, freed = found
+    moved_px, stated_px = moved_and_stated_px(state.model, basis @ freed.step, covariance, reach_rad)
+    if moved_px <= stated_px:
         return None
-    size = _size(found, points, reach_rad[1])
-    return Unmodelled(found.kind, size, math.degrees(reach_rad[1]), moved, stated_px, len(tried) * found.chance)
+    size = size_of(kind, freed, points.board, reach_rad[1])
+    return Unmodelled(kind, size, math.degrees(reach_rad[1]), moved_px, stated_px, len(tried) * freed.chance)
 
 
-def _shape(kind: Kind, points: BoardPoints) -> BoardShape:
-    return AS_DRAWN if kind == "pupil" else BoardShape.to_refine((kind,), points.board)
+def beyond_chance(tried: Mapping[K, Freed | None], significance: float) -> tuple[K, Freed] | None:
+    """What lowers the squared residuals most, of what is significant among all that was tried."""
+    sure = [(key, one) for key, one in tried.items() if one is not None and len(tried) * one.chance < significance]
+    return max(sure, key=lambda pair: pair[1].gain, default=None)
+
+
+def moved_and_stated_px(
+    model: CameraModel, change: Float[Tensor, " p"], covariance: Float[Tensor, "p p"], reach_rad: tuple[float, float]
+) -> tuple[float, float]:
+    """By how much a change of the parameters moves the projection, and what is stated of it: root mean squares between two
+    angles off axis."""
+    grid = supported_grid(model, reach_rad[1], reach_rad[0])
+    jacobian, valid = projection_jacobian(model, grid, grid)
+    moved_px = float((jacobian[valid] @ change).square().sum(-1).mean().sqrt())
+    stated, _ = projection_covariance_px2(model, covariance, grid[valid], grid)
+    return moved_px, float(worst_sigma_px(stated).square().mean().sqrt())
+
+
+def _shape(kind: Kind, board: Float[Tensor, "n 3"]) -> BoardShape:
+    return AS_DRAWN if kind == "pupil" else BoardShape.to_refine((kind,), board)
 
 
 def _freed(
     kind: Kind, points: BoardPoints, state: CameraAndBoards, basis: Float[Tensor, "p q"], weight: Float[Tensor, " n"] | None
-) -> _Freed | None:
-    shape, q, views = _shape(kind, points), basis.shape[1], points.views
-    problem = (_PupilProblem if kind == "pupil" else BoardProblem)(points, basis, weight, shape)
-    each = problem.by_views(CameraAndBoards(state.model, state.cam_from_board, shape))
-    terms = each.gradient.shape[1] - q
-    if views <= terms + 1:
-        return None
-    total = each.matrix.sum(0)
-    follow = torch.linalg.solve(total[:q, :q], total[:q, q:])
-    pull = each.gradient[:, q:] - each.gradient[:, :q] @ follow
-    apart = pull - pull.mean(0)
-    scatter = apart.mT @ apart * views / (views - 1)
-    whole = pull.sum(0)
-    statistic = float(whole @ torch.linalg.pinv(scatter, hermitian=True) @ whole) * (views - terms) / (terms * (views - 1))
-    by = torch.linalg.solve(total[q:, q:] - total[q:, :q] @ follow, whole)
-    return _Freed(kind, by, -follow @ by, float(whole @ by), float(stats.f.sf(statistic, terms, views - terms)))
+) -> Freed | None:
+    shape = _shape(kind, points.board)
+    problem = (PupilProblem if kind == "pupil" else BoardProblem)(points, basis, weight, shape)
+    return Freed.of(problem.by_views(CameraAndBoards(state.model, state.cam_from_board, shape)), slice(basis.shape[1], None))
 
 
-def _size(found: _Freed, points: BoardPoints, reach_rad: float) -> float:
-    if found.kind == "pupil":
+def size_of(kind: Kind, found: Freed, board: Float[Tensor, "n 3"], reach_rad: float) -> float:
+    """`Unmodelled.size`."""
+    if kind == "pupil":
         return float(found.terms[0]) * reach_rad**2
-    if found.kind == "aspect":
+    if kind == "aspect":
         return float(found.terms[0])
-    shape = _shape(found.kind, points)
-    return shape.moved(shape.free @ found.terms).off_plane_m(points.board)
+    shape = _shape(kind, board)
+    return shape.moved(shape.free @ found.terms).off_plane_m(board)

@@ -114,7 +114,8 @@ def misfit_data(misfit: ModelMisfit) -> dict[str, Any]:
 def unmodelled_data(found: Unmodelled) -> dict[str, Any]:
     """Of `calibration_data`."""
     of_camera = {"moved_px": found.moved_px, "stated_px": found.stated_px, "p": found.chance}
-    return {"kind": found.kind, "size": found.size, "reach_deg": found.reach_deg, **of_camera}
+    of_rig = {"camera": found.camera} if found.camera else {}
+    return {"kind": found.kind, "size": found.size, "reach_deg": found.reach_deg, **of_camera, **of_rig}
 
 
 def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:

@@ -183,6 +183,8 @@ def rig_advice(result: RigCalibration, views: dict[str, NextViews]) -> tuple[Adv
         do = f"Hold a board where {name} and {result.members[0].name} see it at the same instant, in a few frames."
         found.append(Advice(f"Camera {name} is not of the rig: {reason.rstrip('.')}.", do))
     found += [Advice(note, SEEN_ALONE) for note in result.against_alone.notes]
+    if result.unmodelled is not None:
+        found.append(Advice(f"{result.unmodelled.limit}.", result.unmodelled.remedy))
     found += _worse_than_alone(result) or _noise_of_the_worst(result)
     if result.weakest is not None:
         found.append(_of_link(result, result.weakest))

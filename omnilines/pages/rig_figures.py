@@ -12,7 +12,7 @@ from camera_models.pose import Pose
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.rig.links import Link, translation_covariance
 from omnilines.calibration.rig.result import RigCalibration, RigMember
-from omnilines.pages.calibration import calibration_verdict, line_delay_data
+from omnilines.pages.calibration import calibration_verdict, line_delay_data, unmodelled_data
 from omnilines.pages.limits import rig_advice
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_summary
 from omnilines.pages.uncertainty_map import UncertaintyMap
@@ -156,6 +156,7 @@ def rig_data(calibrated: RigResult) -> dict[str, Any]:
         "rms_px_per_axis": result.rms_px_per_axis,
         "rms_px_per_point": result.rms_px_per_point,
         "one_pose_rms_px_per_point": result.one_pose_rms_px,
+        "unmodelled": None if result.unmodelled is None else unmodelled_data(result.unmodelled),
         "frames": len(result.frames),
         "links": [
             {

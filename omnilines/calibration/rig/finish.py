@@ -19,6 +19,7 @@ from omnilines.calibration.rig.notes import rig_notes
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.result import TWIST_NAMES, RigCalibration, RigMember
 from omnilines.calibration.rig.systematic import moved_by_radial_shifts
+from omnilines.calibration.rig.unmodelled import rig_unmodelled
 from omnilines.least_squares import Outcome
 from omnilines.records import ViewResult
 
@@ -48,6 +49,8 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
     blocks, rig_from_target, frame_covariance = _targets(outcome, frame_covariance)
     members = _members(outcome, covariance, poses, residual, kept)
     used, against = residual[kept], against_alone(outcome, covariance)
+    reach_rad = [(math.radians(member.min_angle_deg), math.radians(member.max_angle_deg)) for member in members]
+    other = rig_unmodelled(outcome, covariance, reach_rad)
     left_out = {data.views.cameras[c]: reason for c, reason in outcome.failures.items()}
     return RigCalibration(
         members=members,
@@ -73,10 +76,11 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
         board=solution.state.shape,
         board_sigma=dict(zip(data.shape.free_names, covariance.diagonal()[last : last + terms].sqrt().tolist(), strict=True)),
         iterations=solution.iterations,
-        notes=rig_notes(outcome, members, weakest, left_out, against),
+        notes=rig_notes(outcome, members, weakest, left_out, against, other),
         line_delays=outcome.line_delays,
         against_alone=against,
         one_pose_rms_px=outcome.one_pose_rms_px,
+        unmodelled=other,
     )
 
 

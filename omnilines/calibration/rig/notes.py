@@ -16,6 +16,7 @@ from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.result import RigMember
 from omnilines.calibration.table_doubts import misfit_notes, size_notes
+from omnilines.calibration.unmodelled import Unmodelled
 from omnilines.least_squares import Outcome
 
 
@@ -25,6 +26,7 @@ def rig_notes(
     weakest: Link | None,
     left_out: Mapping[str, str],
     against: AgainstAlone,
+    other: Unmodelled | None,
 ) -> tuple[str, ...]:
     """What a person should know of a rig, the most important first."""
     notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()]
@@ -57,6 +59,7 @@ def rig_notes(
         notes += [f"Camera {member.name}: {note}" for note in misfit_notes(rms_px, member.model.image_size, stated_px, doubt)]
         notes += [f"Camera {member.name}: {note}." for note in model_doubts(member.model)]
         notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
+    notes += () if other is None else (other.note,)
     notes += _excess_notes(outcome)
     notes += _noise_notes(outcome, members)
     lost = ~outcome.fit.kept

@@ -14,6 +14,7 @@ from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.against_alone import AgainstAlone
 from omnilines.calibration.rig.links import Link
+from omnilines.calibration.unmodelled import Unmodelled
 from omnilines.records import Corners, ViewResult
 
 TWIST_NAMES = ("rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "x_m", "y_m", "z_m")
@@ -100,6 +101,8 @@ class RigCalibration:
     one_pose_rms_px: float | None = None
     """Per point, with one pose of the board in each frame, where each view has a motion of its own, which `rms_px_per_point`
     does not hold."""
+    unmodelled: Unmodelled | None = None
+    """What neither the drawing of the board nor a camera's model holds, and all frames agree on; of the camera it moves most."""
 
     @property
     def board_terms(self) -> dict[str, float]:

@@ -1,0 +1,81 @@
+"""What neither the drawing of the board nor a camera's model holds, and all frames of a rig agree on.
+
+As of one camera (`calibration/unmodelled.py`), but the board is the same for all cameras, so that its bend and its print are told
+once, by all of them together; the pupil is that of each camera.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
+from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.refine import CameraAndBoards
+from omnilines.calibration.rig.joint import RigData
+from omnilines.calibration.rig.outcome import RigOutcome
+from omnilines.calibration.rig.points import RigPoints
+from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.unmodelled import Freed, Kind, PupilProblem, Unmodelled, beyond_chance, moved_and_stated_px, size_of
+from omnilines.least_squares.groups import Groups
+
+
+def rig_unmodelled(
+    outcome: RigOutcome, covariance: Float[Tensor, "k k"], reach_rad: list[tuple[float, float]]
+) -> Unmodelled | None:
+    """Of the camera whose projection that moves most, in what is stated of it; None where nothing is significant or moves any by
+    more than that, and of several boards or one whose shape is estimated.
+
+    `covariance` is that of the parameters of all members, one after the other, and what follows them; `reach_rad` are the angles
+    off axis between which corners of each lie.
+    """
+    data, state = outcome.data, outcome.solution.state
+    if len(data.views.boards) > 1 or not state.shape.plain:
+        return None
+    points = outcome.fit.points.chosen(outcome.fit.kept)
+    some = [k for k, basis in enumerate(data.bases) if basis.shape[1]]
+    tried: dict[tuple[Kind, int | None], Freed | None] = {(kind, None): _of_board(kind, data, points, state) for kind in BOARD}
+    tried |= {("pupil", k): _of_pupil(k, data, points, state) for k in some}
+    found = beyond_chance(tried, outcome.thresholds.degeneracy.misfit_significance)
+    if found is None:
+        return None
+    (kind, member), freed = found
+    low = np.cumsum([0, *(basis.shape[1] for basis in data.bases)])
+    first = np.cumsum([0, *(len(model.parameters) for model in state.models)])
+    moved: dict[int, tuple[float, float]] = {}
+    for k in some if member is None else [member]:
+        step = freed.step[low[k] : low[k + 1]] if member is None else freed.step
+        own = covariance[first[k] : first[k + 1], first[k] : first[k + 1]]
+        moved[k] = moved_and_stated_px(state.models[k], data.bases[k] @ step, own, reach_rad[k])
+    worst = max(moved, key=lambda k: moved[k][0] / moved[k][1], default=None)
+    if worst is None or moved[worst][0] <= moved[worst][1]:
+        return None
+    reach = reach_rad[worst][1]
+    size, chance = size_of(kind, freed, points.board_m, reach), len(tried) * freed.chance
+    return Unmodelled(kind, size, math.degrees(reach), *moved[worst], chance, data.views.cameras[data.cameras[worst]])
+
+
+BOARD: tuple[Kind, ...] = ("flatness", "aspect")
+
+
+def _of_board(kind: Kind, data: RigData, points: RigPoints, state: RigState) -> Freed | None:
+    shape = BoardShape.to_refine((kind,), points.board_m)
+    problem = replace(data, shape=shape).problem(points)
+    at = problem.linearise(replace(state, shape=shape))
+    each = Groups.of_blocks(problem.structure, at, torch.unique(points.frame[points.view]))
+    first = problem.structure.kept_size - data.ticking - shape.free.shape[1]
+    return Freed.of(each, slice(first, first + shape.free.shape[1]))
+
+
+def _of_pupil(member: int, data: RigData, points: RigPoints, state: RigState) -> Freed | None:
+    """By the views of one camera, each with a pose of its own."""
+    own = points.camera[points.view] == member
+    views, place = torch.unique(points.view[own], return_inverse=True)
+    board = BoardPoints(place, len(views), points.board_m[own], points.pixels[own])
+    problem = PupilProblem(board, data.bases[member], points.weight[own], AS_DRAWN)
+    poses = state.cam_from_board(points)[views]
+    each = problem.by_views(CameraAndBoards(state.models[member], poses))
+    return Freed.of(each, slice(data.bases[member].shape[1], None))
