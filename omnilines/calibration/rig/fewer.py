@@ -23,7 +23,7 @@ def without_members(outcome: RigOutcome, members: Collection[int]) -> RigOutcome
     kept = np.zeros(len(data.views.corners), dtype=bool)
     kept[fit.rows] = fit.kept.numpy()
     state = state_of(outcome.solution.state, left)
-    scales = Scales(fit.scales.scale[left], fewer.noise)
+    scales = Scales(fit.scales.scale[left], fit.scales.beside_alone, fewer.noise)
     smaller = RigFit(points, fewer.problem(points), ordered, rows, state, torch.as_tensor(kept[rows]), scales)
     return replace(outcome, data=fewer, fit=smaller, solution=replace(outcome.solution, state=state))
 

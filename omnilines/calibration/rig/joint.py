@@ -147,13 +147,10 @@ def judged(
     rows: Int[np.ndarray, " n"],
     state: RigState,
     thresholds: RobustThresholds,
-    before: Scales | None = None,
 ) -> RigFit:
     """The corners near enough to a state."""
     residual, points = problem.linearise(state).residual, problem.points
     scales = Scales.of(residual, points, data.noise, thresholds)
-    if before is not None:
-        scales = scales.after(before)
     return RigFit(
         points=points,
         problem=problem,
@@ -186,16 +183,16 @@ def robust_rig_fit(
     points, views, rows = data.points(chosen)
     problem = data.problem(points)
     limits = thresholds.robust
-    fit, alone = judged(data, problem, views, rows, state, limits), Scales.alone(data.noise).scale
+    fit = judged(data, problem, views, rows, state, limits)
     for done in range(PASSES):
         # The first passes only have to bring the scale down.
         scaled = fit.scales.loss("cauchy" if loss == "none" else loss, points, limits.loss_scale)
         solution = solve(problem, fit.state, scaled, tolerance=1e-3 if done == 0 else 1e-4, callback=callback)
-        before, fit = fit, judged(data, problem, views, rows, solution.state, limits, fit.scales)
+        before, fit = fit, judged(data, problem, views, rows, solution.state, limits)
         # Where corners fit the rig as well as their own cameras, nothing more is to be gained.
-        settled = bool((fit.scales.scale > (1 - CONVERGED) * before.scales.scale).all())
-        as_alone = bool((fit.scales.scale < thresholds.rig.as_good_as_alone_factor * alone).all())
-        if as_alone or (settled and bool((fit.kept == before.kept).all())):
+        beside_alone = fit.scales.beside_alone
+        same = bool((fit.kept == before.kept).all()) and beside_alone > (1 - CONVERGED) * before.scales.beside_alone
+        if beside_alone < thresholds.rig.as_good_as_alone_factor or same:
             break
     return fit
 

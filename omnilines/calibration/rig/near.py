@@ -50,14 +50,14 @@ class Scales:
     """Of the whitened residuals of each member."""
 
     scale: Float[Tensor, " m"]
+    beside_alone: float
+    """Of all residuals over those of each camera alone: 1 where corners fit the rig as well."""
     noise: tuple[CornerNoise, ...]
 
     @staticmethod
     def alone(noise: tuple[CornerNoise, ...]) -> "Scales":
         """Where corners fit the rig as well as each camera alone."""
-        return Scales(
-            torch.tensor([max(own.found_px / own.sigma_px, LEAST_SCALE_PX) for own in noise], dtype=torch.float64), noise
-        )
+        return Scales(_alone(noise), 1.0, noise)
 
     @staticmethod
     def of(
@@ -67,17 +67,13 @@ class Scales:
         thresholds: RobustThresholds,
     ) -> "Scales":
         """As whitened residuals show them, with the standard deviation of that; of members without a corner as alone."""
-        scale, member = Scales.alone(noise).scale, points.camera[points.view]
+        scale, member = _alone(noise), points.camera[points.view]
+        beside_alone = robust_scale_px(residual / scale[member, None], thresholds.many_unknowns_share)
         for k in torch.unique(member).tolist():
             own = residual[member == k]
             found = robust_scale_px(own, thresholds.many_unknowns_share) * (1 + SPREAD / math.sqrt(own.numel()))
             scale[k] = max(found, LEAST_SCALE_PX)
-        return Scales(scale, noise)
-
-    def after(self, before: "Scales") -> "Scales":
-        """Halfway where they are larger than those before, by which the fit was made: what cameras contradict each other in goes
-        to and fro between them otherwise."""
-        return Scales(torch.where(self.scale > before.scale, (self.scale * before.scale).sqrt(), self.scale), self.noise)
+        return Scales(scale, max(beside_alone, LEAST_SCALE_PX), noise)
 
     def limits(self, points: RigPoints, reject_sigma: float) -> Float[Tensor, " n"]:
         """Length of the whitened residual of each corner beyond which it is rejected (`robust.own_scale`)."""
@@ -88,11 +84,17 @@ class Scales:
         return reject_sigma * own_scale(self.scale[member], torch.minimum(self.scale, stated)[member], weight)
 
     def loss(self, name: str, points: RigPoints, loss_scale: float) -> LossFunction:
-        """Of the squared whitened residuals of corners, scaled by those of their cameras."""
-        variance, loss = (loss_scale * self.scale[points.camera[points.view]]).square(), Loss(name)
+        """Of the squared whitened residuals of corners, scaled by those of their cameras alone, and by how much all are larger:
+        what cameras contradict each other in would go to and fro between scales of their own."""
+        scale = loss_scale * self.beside_alone * _alone(self.noise)[points.camera[points.view]]
+        variance, loss = scale.square(), Loss(name)
 
         def scaled(squares: Tensor) -> tuple[Tensor, Tensor]:
             cost, weight = loss(squares / variance)
             return cost * variance, weight
 
         return scaled
+
+
+def _alone(noise: tuple[CornerNoise, ...]) -> Float[Tensor, " m"]:
+    return torch.tensor([max(own.found_px / own.sigma_px, LEAST_SCALE_PX) for own in noise], dtype=torch.float64)
