@@ -84,6 +84,19 @@ class Equirectangular(CameraModel):
         bearings = torch.stack([level * torch.sin(longitude), torch.sin(latitude), level * torch.cos(longitude)], -1)
         return bearings, latitude.abs() <= 0.5 * math.pi
 
+    def unproject_jacobian(self, pixels: Float[Tensor, "*batch 2"]) -> Float[Tensor, "*batch 3 2"]:
+        """In closed form, as the derivative of `project` has no limit at the poles.
+
+        There a step in u leads nowhere, and beyond the centres of the first and last row no pixel tells where one leads: a place
+        there moves sideways as it does at these centres. Else an end at a pole would count as known without any error.
+        """
+        longitude, latitude = ((pixels - self.centre_px) / self._pixels_per_radian).unbind(-1)
+        sine, cosine, zero = torch.sin(longitude), torch.cos(longitude), torch.zeros_like(longitude)
+        level = torch.cos(latitude).clamp_min(math.sin(0.5 * math.pi / self.image_size[1]))
+        by_longitude = level[..., None] * torch.stack([cosine, zero, -sine], -1)
+        by_latitude = torch.stack([-torch.sin(latitude) * sine, torch.cos(latitude), -torch.sin(latitude) * cosine], -1)
+        return torch.stack([by_longitude, by_latitude], -1) / self._pixels_per_radian
+
     def project_with_jacobians(
         self, points: Float[Tensor, "*batch 3"]
     ) -> tuple[Float[Tensor, "*batch 2"], Bool[Tensor, "*batch"], Float[Tensor, "*batch 2 3"], Float[Tensor, "*batch 2 p"]]:

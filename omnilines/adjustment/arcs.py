@@ -207,9 +207,9 @@ def _nodes(observed: Observed, bearings: Float[Tensor, "n 2 3"], models: Sequenc
     for index, model in enumerate(models):
         mine = torch.nonzero(observed.camera == index).flatten()
         if len(mine):
-            pixels, _, by_point, _ = model.project_with_jacobians(places[mine])
-            speed[mine] = (by_point @ forward[mine][..., None])[..., 0].norm(dim=-1)
-            by_pixel[mine] = model.unproject_jacobian(pixels)
+            # At a pole of a panorama, where pixels have no derivative, bearings have one.
+            by_pixel[mine] = model.unproject_jacobian(model.project(places[mine])[0])
+            speed[mine] = (torch.linalg.pinv(by_pixel[mine]) @ forward[mine][..., None])[..., 0].norm(dim=-1)
     return ArcNodes(share, by_pixel, 0.5 * weight * phi[:, None] * speed)
 
 

@@ -45,17 +45,23 @@ def _verdict(arcs: PhotoArcs) -> str:
     if not used:
         return f"None of {len(arcs.photos)} photos shows a straight line."
     half = float(np.median([len(one) for one in used]))
-    across = []
-    for one in used:
-        along = one.endpoints_px[:, 1] - one.endpoints_px[:, 0]
-        normal = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True).clip(1e-300)
-        across.append(np.sqrt(np.einsum("ni,neij,nj->ne", normal, one.covariance_px2, normal).clip(0)).ravel())
+    across = [_across_px(one, arcs.cameras[one.camera]).ravel() for one in used]
     known = float(np.median(np.concatenate(across)))
     return (
         f"{len(arcs)} arcs of straight lines in {len(used)} of {len(arcs.photos)} photos, {half:.0f} in the "
         f"median photo; half of "
         f"their ends are known to {figure(known, '.2g', 'px')} across or better."
     )
+
+
+def _across_px(found: FoundArcs, model: CameraModel) -> Float[np.ndarray, "n 2"]:
+    """Standard deviation of both ends of each arc across its image there, which may bend, or cross the seam of a panorama."""
+    pixels = torch.as_tensor(found.endpoints_px)
+    with torch.no_grad():
+        ends, _ = model.unproject(pixels)
+        normal = arc_normal(ends[:, 0], ends[:, 1])[:, None, :, None]
+        way = torch.nn.functional.normalize((model.unproject_jacobian(pixels).mT @ normal)[..., 0], dim=-1).numpy()
+    return np.sqrt(np.einsum("nei,neij,nej->ne", way, found.covariance_px2, way).clip(0))
 
 
 def arcs_data(arcs: PhotoArcs) -> dict[str, Any]:

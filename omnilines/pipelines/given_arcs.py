@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from camera_models import Calibration, CameraModel, InputError
 from camera_models.typed import typed
+from omnilines.extraction.arcs import steps
 from omnilines.files import Photo, PhotoRef, Photos, of_one_range, photo_folder, photos_of
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
@@ -67,7 +68,7 @@ def given_arcs(
         if not len(rows):
             return skipped(photo, own, f"{name} has no segment of it that the camera sees.")
         ends = segments.endpoints_px[rows]
-        length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=-1)
+        length = np.linalg.norm(steps(cameras[own], ends)[:, 0], axis=-1)
         return FoundArcs(photo, own, ends, covariance[rows], length, side_colours(image, cameras[own], bearings, appearance))
 
     found = on_all_cores(look, refs, "reading photos", progress)

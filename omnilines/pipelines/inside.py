@@ -14,12 +14,16 @@ def require_inside(
 ) -> None:
     """`camera_of` names the camera of each photo of `segments.images`.
 
-    Raises InputError where a segment ends farther outside the image of its camera than detectors draw lines on.
+    Raises InputError where a segment ends farther outside the image of its camera than detectors draw lines on. A panorama has
+    no end to the left or right: segments may go on beyond its seam.
     """
     if not len(segments):
         return
     size = np.array([cameras[name].image_size for name in camera_of], dtype=np.float64)[segments.image]
-    beyond = np.maximum(-0.5 - segments.endpoints_px, segments.endpoints_px - (size - 0.5)[:, None]).max(-1)
+    beyond = np.maximum(-0.5 - segments.endpoints_px, segments.endpoints_px - (size - 0.5)[:, None])
+    closed = np.array([cameras[name].PERIODIC for name in camera_of], dtype=bool)[segments.image]
+    beyond[closed, :, 0] = 0.0
+    beyond = beyond.max(-1)
     outside = (beyond > options.beyond_share * size.max(-1)[:, None]).any(-1)
     if not outside.any():
         return
