@@ -41,7 +41,7 @@ from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
 from omnilines.pipelines.frame_notes import frame_notes, unplaced_notes
-from omnilines.pipelines.judged_photos import refuse_reading
+from omnilines.pipelines.judged_photos import doubted_photos, refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
@@ -250,6 +250,8 @@ def _scene(
         *size_notes(frame.lines, frame.poses, options.judge),
     )
     still = still_share(found)
+    explained = float(np.median([photo.share for photo in found.photos]))
+    doubts = doubted_photos(arcs.photos, posed, cameras, explained, options, progress)
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(
         folder, len(arcs.photos), arcs.skipped, found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
@@ -266,7 +268,7 @@ def _scene(
         of_photos,
         options,
         _checks(found),
-        (*posed.advice, *advice(found, still, posed.source, options, progress)),
+        (*posed.advice, *doubts, *advice(found, still, posed.source, options, progress)),
         asked,
         supposed,
         frame.up,

@@ -34,8 +34,9 @@ def other_readings(given: Pose) -> Iterator[Reading]:
     yield from _all_kinds(given, _Axes("to be of cameras with y up and z back (OpenGL, Blender)", AXES))
 
 
-def rarer_readings(given: Pose) -> Iterator[Reading]:
-    """With any other axes of the cameras (robots, aircraft, photos that were turned), also left-handed ones (Unity, Unreal)."""
+def rarer_readings(given: Pose, kinds: int | None = None) -> Iterator[Reading]:
+    """With any other axes of the cameras (robots, aircraft, photos that were turned), also left-handed ones (Unity, Unreal);
+    so many ways to write each, the commonest first: as they are, inverted."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             axes = torch.zeros(3, 3, dtype=torch.float64)
@@ -43,7 +44,8 @@ def rarer_readings(given: Pose) -> Iterator[Reading]:
             if not (torch.equal(axes, AXES) or torch.equal(axes, torch.eye(3, dtype=torch.float64))):
                 named = ", ".join(f"{'-' if sign < 0 else ''}{'xyz'[axis]}" for axis, sign in zip(order, signs, strict=True))
                 hand = "" if torch.linalg.det(axes) > 0 else "left-handed and "
-                yield from _all_kinds(given, _Axes(f"to be {hand}of cameras whose right, down and forward are {named}", axes))
+                of_axes = _Axes(f"to be {hand}of cameras whose right, down and forward are {named}", axes)
+                yield from itertools.islice(_all_kinds(given, of_axes), kinds)
 
 
 @dataclass(frozen=True)
