@@ -1,5 +1,5 @@
-"""What all photos share, a board that is bent or has oblong squares and a lens whose pupil moves: each is told from what it is
-not, and so is what it does to the camera."""
+"""What all photos share, a board that is bent or has oblong squares and a lens whose pupil moves or that is not centred: each is
+told from what it is not, and so is what it does to the camera."""
 
 from dataclasses import replace
 
@@ -14,6 +14,7 @@ from omnilines.calibration.refine import CameraAndBoards
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.uncertainty import supported_grid
+from omnilines.calibration.unmodelled import by_decentering
 from omnilines.calibration.views import board_points
 from omnilines.pages.limits import board_advice
 from omnilines.records import Corners
@@ -41,7 +42,7 @@ def seen(common: float, anew: float, seed: int, views: int = 16, aspect: float =
 
 
 def said(fit: CameraCalibration) -> list[str]:
-    begins = ("The board is not flat", "The squares of the board", "The rays of the camera")
+    begins = ("The board is not flat", "The squares of the board", "The rays of the camera", "The lens of the camera")
     return [note for note in fit.notes if note.startswith(begins)]
 
 
@@ -109,6 +110,71 @@ def test_a_pupil_that_moves_is_told_with_what_it_does_to_the_camera() -> None:
     assert fit.unmodelled.size == pytest.approx(true_m, rel=0.2)
     assert fit.unmodelled.moved_px == pytest.approx(apart_px(fit.model, LENS), rel=0.25)
     assert apart_px(fit.model, LENS) > 2 * fit.unmodelled.stated_px
+
+
+WIDE = OpenCVFisheye([610.0, 611.0, 645.0, 470.0, 0.02, -0.01, 0.003, 0.0], (1280, 960))
+"""120 degrees from corner to corner."""
+DECENTRED = torch.tensor([4.5e-3, -3e-3], dtype=torch.float64)
+
+
+def decentred(seed: int, much: float, views: int = 20) -> Corners:
+    """A board before a lens with so many times this decentering, of up to 0.7 degrees."""
+    poses = board_views(WIDE, 55.0, views, seed)
+    drawn = board_corners(WIDE, poses, 0.0, 0)
+    points = board_points(drawn, np.ones(len(drawn), bool), list(range(views)))
+    seen = CameraAndBoards(WIDE, poses).seen(points)
+    pixels = WIDE.project(seen + by_decentering(seen) @ (much * DECENTRED))[0].numpy()
+    noise = NOISE_PX * np.random.default_rng(seed).standard_normal(pixels.shape)
+    return replace(drawn, pixels=pixels + noise)
+
+
+def off_px(fit: CameraCalibration, much: float) -> float:
+    """Of the projection of a fit from that of the lens where corners lie, after the best common rotation."""
+    assert fit.unmodelled is not None
+    bearings, _ = WIDE.unproject(supported_grid(WIDE, np.radians(fit.unmodelled.reach_deg)))
+    there, _ = WIDE.project(bearings + by_decentering(bearings) @ (much * DECENTRED))
+    seen, _ = fit.model.unproject(there)
+    u, _, v = torch.linalg.svd(seen.mT @ bearings)
+    turn = u @ torch.diag(torch.tensor([1.0, 1.0, float(torch.linalg.det(u @ v))], dtype=torch.float64)) @ v
+    return float((fit.model.project(bearings @ turn.mT)[0] - there).square().sum(-1).mean().sqrt())
+
+
+@pytest.mark.parametrize("model", ["opencv-fisheye", "scaramuzza"])
+def test_a_lens_that_is_not_centred_is_told_with_what_it_does_to_the_camera(model: str) -> None:
+    fit = calibrate_camera(decentred(1, 1.0), WIDE.image_size, model)
+    (note,) = said(fit)
+    assert fit.unmodelled is not None and fit.unmodelled.kind == "decentering" and "`--model unified`" in note
+    size = 3 * np.radians(fit.unmodelled.reach_deg) ** 2 * float(DECENTRED.norm())
+    assert fit.unmodelled.size == pytest.approx(size, rel=0.2)
+    off = off_px(fit, 1.0)
+    assert fit.unmodelled.moved_px == pytest.approx(off, rel=0.25) and off > 1.2 * fit.unmodelled.stated_px
+
+
+def test_a_model_with_terms_of_decentering_is_not_told_to_have_none() -> None:
+    fit = calibrate_camera(decentred(1, 1.0), WIDE.image_size, "unified")
+    assert fit.unmodelled is None or fit.unmodelled.kind != "decentering"
+
+
+def test_decentering_is_that_of_brown_near_the_axis() -> None:
+    """Of x = X / Z and y = Y / Z: p1 (r^2 + 2 x^2) + 2 p2 x y, and the same for y; nothing moves along the ray."""
+    x, y = torch.tensor([[0.02, -0.01, 0.0, 0.015], [0.01, 0.02, 0.03, -0.02]], dtype=torch.float64)
+    seen = 2.0 * torch.stack([x, y, torch.ones_like(x)], -1)
+    p1, p2 = DECENTRED.tolist()
+    moved = (by_decentering(seen) @ DECENTRED)[:, :2] / 2.0
+    brown = torch.stack([p1 * (3 * x**2 + y**2) + 2 * p2 * x * y, p2 * (x**2 + 3 * y**2) + 2 * p1 * x * y], -1)
+    torch.testing.assert_close(moved, brown, rtol=3e-3, atol=1e-9)
+    assert float((by_decentering(seen).mT @ seen[..., None]).abs().max()) < 1e-12
+    assert float(by_decentering(torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)).abs().max()) == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seeds", [2, pytest.param(30, marks=pytest.mark.full)])
+def test_a_lens_that_is_centred_is_not_blamed(seeds: int) -> None:
+    models = ("opencv-fisheye", "unified", "double-sphere")
+    fits = {
+        (seed, model): calibrate_camera(decentred(seed, 0.0), WIDE.image_size, model) for seed in range(seeds) for model in models
+    }
+    assert [which for which, fit in fits.items() if said(fit)] == []
 
 
 @pytest.mark.slow

@@ -144,7 +144,8 @@ class DegeneracyThresholds(NamedTuple):
     squares) are not seen by a camera at all."""
     misfit_significance: float = 1e-3
     """Of what residuals have in common in all photos by their distance from the centre, from which on the model is said not to
-    follow the lens, and of a bend of the board, oblong squares or a moving pupil in all photos, from which on that is said."""
+    follow the lens, and of a bend of the board, oblong squares, a moving pupil or a lens that is not centred in all photos,
+    from which on that is said."""
 
 
 class DoubtThresholds(NamedTuple):

@@ -61,14 +61,26 @@ def projection_jacobian(
     """d pixel / d parameters of the world directions that the camera now sees at each pixel, after the common rotation that fits
     best over `reference_px`; and where that is defined."""
     bearings, seen, by_parameter, _ = bearing_jacobian(model, reference_px)
-    b, jacobian = bearings[seen], by_parameter[seen]
-    # w x b = -[b]x w: the normal matrix of the rotation is sum (I - b b'), its right side sum b x (B d).
-    normal = len(b) * torch.eye(3, dtype=b.dtype) - b.mT @ b
-    right = torch.linalg.cross(b[:, :, None].expand_as(jacobian), jacobian, dim=1).sum(0)
-    turn = torch.linalg.solve(normal, right)
+    turn = _common_turn(bearings[seen], by_parameter[seen])
     bearings, valid, by_parameter, by_point = bearing_jacobian(model, pixels)
-    moved = torch.linalg.cross(turn.expand(len(pixels), *turn.shape), bearings[:, :, None].expand_as(by_parameter), dim=1)
-    return by_point @ (by_parameter - moved), valid
+    return by_point @ (by_parameter - _turned(turn, bearings)), valid
+
+
+def common_turn(bearings: Float[Tensor, "n 3"], moved: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """Of small motions of bearings, what a common rotation makes of them at most."""
+    return _turned(_common_turn(bearings, moved[..., None]), bearings)[..., 0]
+
+
+def _common_turn(bearings: Float[Tensor, "n 3"], moved: Float[Tensor, "n 3 p"]) -> Float[Tensor, "3 p"]:
+    # w x b = -[b]x w: the normal matrix of the rotation is sum (I - b b'), its right side sum b x (B d).
+    normal = len(bearings) * torch.eye(3, dtype=bearings.dtype) - bearings.mT @ bearings
+    right = torch.linalg.cross(bearings[:, :, None].expand_as(moved), moved, dim=1).sum(0)
+    return torch.linalg.solve(normal, right)
+
+
+def _turned(turn: Float[Tensor, "3 p"], bearings: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 p"]:
+    count, size = len(bearings), turn.shape[1]
+    return torch.linalg.cross(turn.expand(count, 3, size), bearings[:, :, None].expand(count, 3, size), dim=1)
 
 
 def projection_covariance_px2(

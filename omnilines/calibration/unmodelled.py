@@ -13,11 +13,13 @@ Each kind is tested by itself, since one looks a little like the other: what low
 (`rig/unmodelled.py`) v are frames, and c is all that is kept: the board is the same for all its cameras.
 
 The pupil of a wide lens moves along the axis with the angle: rays of theta come from p theta^2 on it. A board near the camera
-shows so, and a camera calibrated with it is off where points are far.
+shows so, and a camera calibrated with it is off where points are far. Elements that do not share an axis displace what is seen
+under theta by 3 theta^2 (a . c) outwards and theta^2 (a x c) around, a being the direction on the image from the axis (Brown,
+Decentering distortion of lenses, 1966, with the angle in place of the radius).
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar, get_args
 
@@ -31,18 +33,28 @@ from camera_models.wording import rounded
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
-from omnilines.calibration.uncertainty import projection_covariance_px2, projection_jacobian, supported_grid, worst_sigma_px
+from omnilines.calibration.uncertainty import (
+    bearing_jacobian,
+    common_turn,
+    projection_covariance_px2,
+    supported_grid,
+    worst_sigma_px,
+)
 from omnilines.least_squares import Linearisation
 from omnilines.least_squares.groups import Groups
 
 K = TypeVar("K")
-Kind = Literal["flatness", "aspect", "pupil"]
-"""What is tested: of `options.REFINABLE`, and the place of the pupil."""
+Kind = Literal["flatness", "aspect", "pupil", "decentering"]
+"""What is tested: of `options.REFINABLE`, and of the lens."""
+LEAST_LEFT = 1e-9
+"""Of what views say of a term, by the rest of them: below it something else that is estimated is the same."""
 REMEDIES: dict[Kind, str] = {
     "flatness": "Give `refine_board` flatness or surface, or use a board on glass or metal.",
     "aspect": "Give `refine_board` aspect, or measure the board along both sides.",
     "pupil": "Hold the board farther away, about where the camera will look: no camera model here holds that, and it fades with "
     "the distance.",
+    "decentering": "Compare with `--model unified`, which has terms for it (so has pinhole, below 100 degrees), or let `auto` do "
+    "so.",
 }
 
 
@@ -53,7 +65,8 @@ class Unmodelled:
     kind: Kind
     size: float
     """Largest distance of a corner of a bent board from a plane (m); by what share squares are higher than wide; by how much the
-    pupil moves towards what it looks at, from the axis to where corners end (m)."""
+    pupil moves towards what it looks at, from the axis to where corners end (m); by how much what is seen there is displaced
+    outwards at most (rad)."""
     reach_deg: float
     """Where corners end, off axis."""
     moved_px: float
@@ -93,6 +106,11 @@ class Unmodelled:
                 f"percent {more} beside their width. With this"
             )
         camera = f"camera {self.camera}" if self.camera else "the camera"
+        if self.kind == "decentering":
+            return (
+                f"The lens of {camera} is not centred: all photos agree that {self.reach_deg:.0f} degrees off axis it bends rays "
+                f"by up to {rounded(math.degrees(self.size))} degrees more to one side (decentering). With this"
+            )
         way = "towards the scene" if self.size > 0 else "away from the scene"
         return (
             f"The rays of {camera} do not meet in one point: all photos agree that those {self.reach_deg:.0f} degrees off axis "
@@ -111,16 +129,51 @@ class Unmodelled:
         return f"{self.limit}: {held}. {self.remedy}"
 
 
-class PupilProblem(BoardProblem):
-    """With one more column in the kept block: p of the pupil, metres a squared radian."""
+class LensProblem(BoardProblem):
+    """With more columns in the kept block: how a lens moves points of the camera's frame."""
+
+    def __init__(
+        self,
+        moves: Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n 3 s"]],
+        points: BoardPoints,
+        basis: Float[Tensor, "p q"],
+        weight: Float[Tensor, " n"] | None,
+    ) -> None:
+        super().__init__(points, basis, weight, AS_DRAWN)
+        self.moves = moves
 
     def _linearised(self, state: CameraAndBoards) -> Linearisation:
         at = super()._linearised(state)
         seen = state.seen(self.points)
         _, _, by_point, _ = state.model.project_with_jacobians(seen)
-        squared = torch.atan2(seen[:, :2].norm(dim=-1), seen[:, 2]).square()
-        by_pupil = -by_point[:, :, 2] * (squared * self.weight)[:, None]
-        return Linearisation(at.residual, at.by_eliminated, (torch.cat([at.by_kept[0], by_pupil[..., None]], -1),))
+        by_lens = self.weight[:, None, None] * (by_point @ self.moves(seen))
+        return Linearisation(at.residual, at.by_eliminated, (torch.cat([at.by_kept[0], by_lens], -1),))
+
+
+def by_pupil(seen: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 1"]:
+    """Of p, metres a squared radian: points are as if so much nearer."""
+    squared = torch.atan2(seen[:, :2].norm(dim=-1), seen[:, 2]).square()
+    return torch.nn.functional.pad(-squared[:, None, None], (0, 0, 2, 0))
+
+
+def by_decentering(seen: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 2"]:
+    """Of c, radians a squared radian."""
+    x, y, z = seen.unbind(-1)
+    across = torch.hypot(x, y)
+    theta, distance = torch.atan2(across, z), seen.norm(dim=-1)
+    # On the axis nothing moves, in whichever direction from it.
+    a = seen[:, :2] / across.clamp_min(1e-300)[:, None]
+    outwards = torch.cat([torch.cos(theta)[:, None] * a, -torch.sin(theta)[:, None]], -1)
+    around = torch.stack([-a[:, 1], a[:, 0], torch.zeros_like(x)], -1)
+    turned = torch.stack([-a[:, 1], a[:, 0]], -1) * (torch.sin(theta) * theta)[:, None]
+    moved = outwards[:, :, None] * (3 * theta.square()[:, None] * a)[:, None] + around[:, :, None] * turned[:, None]
+    return distance[:, None, None] * moved
+
+
+OF_LENS: dict[Kind, Callable[[Float[Tensor, "n 3"]], Float[Tensor, "n 3 s"]]] = {
+    "pupil": by_pupil,
+    "decentering": by_decentering,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +188,8 @@ class Freed:
 
     @staticmethod
     def of(each: Groups, terms: slice) -> "Freed | None":
-        """Of what each view adds to the normal equations; `terms` are their columns. None of too few views."""
+        """Of what each view adds to the normal equations; `terms` are their columns. None of too few views, and of terms that
+        are among what is estimated already."""
         views, kept = each.gradient.shape
         freed = list(range(kept))[terms]
         rest = [column for column in range(kept) if column not in freed]
@@ -151,7 +205,10 @@ class Freed:
         scatter = apart.mT @ apart * views / (views - 1)
         whole = pull.sum(0)
         statistic = float(whole @ torch.linalg.pinv(scatter, hermitian=True) @ whole) * (views - count) / (count * (views - 1))
-        by = torch.linalg.solve(total[freed][:, freed] - coupling.mT @ follow, whole)
+        left = total[freed][:, freed] - coupling.mT @ follow
+        if not bool((left.diagonal() > LEAST_LEFT * total.diagonal()[freed]).all()):
+            return None
+        by = torch.linalg.solve(left, whole)
         return Freed(by, -follow @ by, float(whole @ by), float(stats.f.sf(statistic, count, views - count)))
 
 
@@ -174,7 +231,8 @@ def unmodelled(
     if found is None:
         return None
     kind, freed = found
-    moved_px, stated_px = moved_and_stated_px(state.model, basis @ freed.step, covariance, reach_rad)
+    own = freed.terms if kind == "decentering" else None
+    moved_px, stated_px = moved_and_stated_px(state.model, basis @ freed.step, covariance, reach_rad, own)
     if moved_px <= stated_px:
         return None
     size = size_of(kind, freed, points.board, reach_rad[1])
@@ -188,34 +246,44 @@ def beyond_chance(tried: Mapping[K, Freed | None], significance: float) -> tuple
 
 
 def moved_and_stated_px(
-    model: CameraModel, change: Float[Tensor, " p"], covariance: Float[Tensor, "p p"], reach_rad: tuple[float, float]
+    model: CameraModel,
+    change: Float[Tensor, " p"],
+    covariance: Float[Tensor, "p p"],
+    reach_rad: tuple[float, float],
+    decentering: Float[Tensor, "2"] | None = None,
 ) -> tuple[float, float]:
-    """By how much a change of the parameters moves the projection, and what is stated of it: root mean squares between two
-    angles off axis."""
+    """By how much a change of the parameters, and where given the decentering that comes with it, move the projection, after the
+    common rotation that fits best, and what is stated of it: root mean squares between two angles off axis."""
     grid = supported_grid(model, reach_rad[1], reach_rad[0])
-    jacobian, valid = projection_jacobian(model, grid, grid)
-    moved_px = float((jacobian[valid] @ change).square().sum(-1).mean().sqrt())
+    bearings, valid, by_parameter, by_point = bearing_jacobian(model, grid)
+    bearings, by_point, moved = bearings[valid], by_point[valid], by_parameter[valid] @ change
+    if decentering is not None:
+        # Where a direction is seen elsewhere, a pixel sees another direction, to the other side.
+        moved = moved - by_decentering(bearings) @ decentering
+    left = moved - common_turn(bearings, moved)
+    moved_px = float((by_point @ left[..., None]).square().sum((1, 2)).mean().sqrt())
     stated, _ = projection_covariance_px2(model, covariance, grid[valid], grid)
     return moved_px, float(worst_sigma_px(stated).square().mean().sqrt())
-
-
-def _shape(kind: Kind, board: Float[Tensor, "n 3"]) -> BoardShape:
-    return AS_DRAWN if kind == "pupil" else BoardShape.to_refine((kind,), board)
 
 
 def _freed(
     kind: Kind, points: BoardPoints, state: CameraAndBoards, basis: Float[Tensor, "p q"], weight: Float[Tensor, " n"] | None
 ) -> Freed | None:
-    shape = _shape(kind, points.board)
-    problem = (PupilProblem if kind == "pupil" else BoardProblem)(points, basis, weight, shape)
-    return Freed.of(problem.by_views(CameraAndBoards(state.model, state.cam_from_board, shape)), slice(basis.shape[1], None))
+    terms = slice(basis.shape[1], None)
+    if kind in OF_LENS:
+        return Freed.of(LensProblem(OF_LENS[kind], points, basis, weight).by_views(state), terms)
+    shape = BoardShape.to_refine((kind,), points.board)
+    problem = BoardProblem(points, basis, weight, shape)
+    return Freed.of(problem.by_views(CameraAndBoards(state.model, state.cam_from_board, shape)), terms)
 
 
 def size_of(kind: Kind, found: Freed, board: Float[Tensor, "n 3"], reach_rad: float) -> float:
     """`Unmodelled.size`."""
     if kind == "pupil":
         return float(found.terms[0]) * reach_rad**2
+    if kind == "decentering":
+        return float(found.terms.norm()) * 3 * reach_rad**2
     if kind == "aspect":
         return float(found.terms[0])
-    shape = _shape(kind, board)
+    shape = BoardShape.to_refine((kind,), board)
     return shape.moved(shape.free @ found.terms).off_plane_m(board)

@@ -1,7 +1,7 @@
 """What neither the drawing of the board nor a camera's model holds, and all frames of a rig agree on.
 
 As of one camera (`calibration/unmodelled.py`), but the board is the same for all cameras, so that its bend and its print are told
-once, by all of them together; the pupil is that of each camera.
+once, by all of them together; pupil and decentering are those of each camera.
 """
 
 import math
@@ -12,14 +12,23 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
+from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import CameraAndBoards
 from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.points import RigPoints
 from omnilines.calibration.rig.problem import RigState
-from omnilines.calibration.unmodelled import Freed, Kind, PupilProblem, Unmodelled, beyond_chance, moved_and_stated_px, size_of
+from omnilines.calibration.unmodelled import (
+    OF_LENS,
+    Freed,
+    Kind,
+    LensProblem,
+    Unmodelled,
+    beyond_chance,
+    moved_and_stated_px,
+    size_of,
+)
 from omnilines.least_squares.groups import Groups
 
 
@@ -38,7 +47,7 @@ def rig_unmodelled(
     points = outcome.fit.points.chosen(outcome.fit.kept)
     some = [k for k, basis in enumerate(data.bases) if basis.shape[1]]
     tried: dict[tuple[Kind, int | None], Freed | None] = {(kind, None): _of_board(kind, data, points, state) for kind in BOARD}
-    tried |= {("pupil", k): _of_pupil(k, data, points, state) for k in some}
+    tried |= {(kind, k): _of_lens(kind, k, data, points, state) for kind in OF_LENS for k in some}
     found = beyond_chance(tried, outcome.thresholds.degeneracy.misfit_significance)
     if found is None:
         return None
@@ -49,7 +58,8 @@ def rig_unmodelled(
     for k in some if member is None else [member]:
         step = freed.step[low[k] : low[k + 1]] if member is None else freed.step
         own = covariance[first[k] : first[k + 1], first[k] : first[k + 1]]
-        moved[k] = moved_and_stated_px(state.models[k], data.bases[k] @ step, own, reach_rad[k])
+        decentering = freed.terms if kind == "decentering" else None
+        moved[k] = moved_and_stated_px(state.models[k], data.bases[k] @ step, own, reach_rad[k], decentering)
     worst = max(moved, key=lambda k: moved[k][0] / moved[k][1], default=None)
     if worst is None or moved[worst][0] <= moved[worst][1]:
         return None
@@ -70,12 +80,12 @@ def _of_board(kind: Kind, data: RigData, points: RigPoints, state: RigState) -> 
     return Freed.of(each, slice(first, first + shape.free.shape[1]))
 
 
-def _of_pupil(member: int, data: RigData, points: RigPoints, state: RigState) -> Freed | None:
+def _of_lens(kind: Kind, member: int, data: RigData, points: RigPoints, state: RigState) -> Freed | None:
     """By the views of one camera, each with a pose of its own."""
     own = points.camera[points.view] == member
     views, place = torch.unique(points.view[own], return_inverse=True)
     board = BoardPoints(place, len(views), points.board_m[own], points.pixels[own])
-    problem = PupilProblem(board, data.bases[member], points.weight[own], AS_DRAWN)
+    problem = LensProblem(OF_LENS[kind], board, data.bases[member], points.weight[own])
     poses = state.cam_from_board(points)[views]
     each = problem.by_views(CameraAndBoards(state.models[member], poses))
     return Freed.of(each, slice(data.bases[member].shape[1], None))
