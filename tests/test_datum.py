@@ -17,6 +17,7 @@ from omnilines.adjustment.information import pose_information
 from omnilines.adjustment.lines import adjust_lines, end_sigma_m
 from omnilines.adjustment.problem import Freedom, LineProblem
 from omnilines.adjustment.state import LinesAndPoses
+from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares import Outcome
 from omnilines.least_squares.datum import weighed
@@ -192,3 +193,23 @@ def test_photos_count_as_they_are_known() -> None:
     # Turns in radians, shifts over the distance of the lines, about 3 m.
     torch.testing.assert_close(known, torch.diag_embed(known.diagonal(dim1=1, dim2=2)), rtol=0, atol=0)
     assert 2.0 < float((known[0, 0, 0] / known[0, 5, 5]).sqrt()) < 5.0
+
+
+@pytest.mark.parametrize("of", ["nothing", "a camera"])
+def test_degenerate_scenes_keep_finite_poses(of: str) -> None:
+    """Without a line they stay as they are; the lines of others all lie in the one centre of all cameras."""
+    scene = Scene(cameras=4, lines=6)
+    arcs = scene.arcs()
+    poses = Pose(scene.poses.rotation, torch.zeros_like(scene.poses.translation))
+    lines = PlueckerLines.from_points(torch.zeros(6, 3, dtype=torch.float64), scene.ends[:, 1])
+    chart = LineChart.from_lines(lines, scene.ends[:, 0], torch.ones(6, dtype=torch.float64))
+    if of == "nothing":
+        chart = replace(chart, phi=torch.full_like(chart.phi, torch.nan))
+    state = LinesAndPoses(poses, chart)
+    problem = problem_at(scene, arcs, state)
+    known = known_of_poses(problem, state)
+    assert known is not None and torch.isfinite(known).all()
+    end = framed(problem, state, LinesAndPoses(scene.poses, chart))
+    if of == "nothing":
+        assert float(known.abs().max()) == 0.0 and end is state
+    assert torch.isfinite(end.cam_from_world.rotation).all() and torch.isfinite(end.cam_from_world.translation).all()

@@ -32,9 +32,10 @@ def known_of_poses(problem: LineProblem, state: LinesAndPoses) -> Float[Tensor, 
     arcs = problem.arcs
     frames, cameras = pose_information(arcs, state)
     information = torch.cat([frames[problem.free], cameras[problem.rig_cameras]])
-    distance_m = state.chart.lines()[arcs.track].distance_to(state.cam_from_world.centre[arcs.image]).nanmedian()
-    unit = torch.cat([torch.ones(3, dtype=torch.float64), distance_m.expand(3)])
-    values = torch.linalg.eigvalsh(unit[:, None] * information * unit)
+    distance_m = float(state.chart.lines()[arcs.track].distance_to(state.cam_from_world.centre[arcs.image]).nanmedian())
+    unit = torch.tensor([1.0] * 3 + [distance_m if distance_m > 0 else 1.0] * 3, dtype=torch.float64)
+    finite = torch.isfinite(information).flatten(1).all(-1)
+    values = torch.linalg.eigvalsh(unit[:, None] * torch.where(finite[:, None, None], information, 0.0) * unit)
     told = values[:, 0] > LEAST_EIGENVALUE * values[:, -1]
     weight = torch.where(told, 1.0 / values.reciprocal().sum(-1), 0.0)
     return weight[:, None, None] * torch.diag(unit**-2)

@@ -20,7 +20,9 @@ def pose_information(arcs: MatchedArcs, state: LinesAndPoses) -> tuple[Float[Ten
     for rows in torch.arange(len(arcs)).split(AT_ONCE):
         some = arcs.rows(rows)
         cost = cost_function(WHITENED, some)
-        by_photo = torch.nan_to_num(line_residual(cost, some.bearings, state.chart[some.track], poses[some.image])[1])
+        by_photo = line_residual(cost, some.bearings, state.chart[some.track], poses[some.image])[1]
+        # A line that is none, or that lies in the camera, says nothing.
+        by_photo = torch.nan_to_num(by_photo, 0.0, 0.0, 0.0)
         if rig is None:
             frames.index_add_(0, some.image, by_photo.mT @ by_photo)
             continue
