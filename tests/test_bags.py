@@ -199,7 +199,7 @@ def test_stamps_put_cameras_together(tmp_path: Path) -> None:
     left = plain(store, "/left/image_raw", 12)
     right = [(f"/right{topic[5:]}", stamp, message) for topic, stamp, message in left[2:6] + left[7:]]
     path = write_bag(tmp_path / "rig", sorted([*left, *right], key=lambda shot: shot[1]))
-    chosen = ol.frames(f"{path}:/left/image_raw,/right/image_raw", options=FrameOptions(looked_per_s=1e3, step_share=0.0))
+    chosen = ol.frames(f"{path}:/left/image_raw,/right/image_raw", options=FrameOptions(looked_per_s=400.0, step_share=0.0))
     by_lens = [{row.image[-10:]: row for row in chosen.rows if row.lens == lens} for lens in (0, 1)]
     times = [[row.time_s for row in rows.values()] for rows in by_lens]
     assert repr(chosen) == f"ChosenFrames(taken={len(chosen.taken)} of {len(chosen.rows)})"
@@ -260,7 +260,7 @@ def test_what_is_left_out_is_said(tmp_path: Path) -> None:
     unset = plain(store, "/cam", 4)
     for _, _, message in unset:
         message.header = header(store, 0)
-    chosen = ol.frames(write_bag(tmp_path / "b.bag", unset), options=FrameOptions(looked_per_s=1e3))
+    chosen = ol.frames(write_bag(tmp_path / "b.bag", unset), options=FrameOptions(looked_per_s=400.0))
     assert "header stamps of b.bag:/cam are 0" in chosen.notes[0]
     assert np.allclose([row.time_s for row in chosen.rows], np.arange(4) * 0.1)
 

@@ -126,7 +126,8 @@ def arcs_of(counts: list[int], tmp_path: Path) -> PhotoArcs:
     found = []
     for k, count in enumerate(counts):
         (photo,) = photos_of({f"{k}.png": np.zeros((480, 640), np.uint8)})
-        ends = np.tile([[10.0, 20.0], [110.0, 20.0]], (count, 1, 1))
+        # Through the centre, where a straight line has a straight image.
+        ends = np.tile([[269.5, 239.5], [369.5, 239.5]], (count, 1, 1))
         covariance = np.tile(np.diag([9.0, 0.04]), (count, 2, 1, 1))
         assert isinstance(photo, Photo)
         found.append(FoundArcs(photo, "cam0", ends, covariance, np.full(count, 100.0), np.zeros((count, 2, 3))))

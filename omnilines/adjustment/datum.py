@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from camera_models.pose import Pose
+from camera_models.pose import Pose, vector_from_rotation
 from omnilines.adjustment.information import pose_information
 from omnilines.adjustment.problem import LineProblem
 from omnilines.adjustment.state import LinesAndPoses
@@ -21,8 +21,10 @@ from omnilines.geometry.line_chart import LineChart
 from omnilines.least_squares.datum import weighed
 from omnilines.least_squares.dense import LEAST_EIGENVALUE
 
-MOST_ROUNDS, AT_REST = 10, 1e-12
+MOST_ROUNDS, AT_REST = 50, 1e-12
 """Of the search of the similarity, and its size that ends it."""
+PACE = 0.5
+"""Turn (rad) and growth that a round makes at most."""
 
 
 def known_of_poses(problem: LineProblem, state: LinesAndPoses) -> Float[Tensor, "blocks 6 6"] | None:
@@ -52,33 +54,42 @@ def constraint(problem: LineProblem, state: LinesAndPoses, known: Float[Tensor, 
 
 
 def framed(problem: LineProblem, state: LinesAndPoses, start: LinesAndPoses) -> LinesAndPoses:
-    """The state in the frame of its start. One whose photos do not tell that frame stays as it is."""
-    known = known_of_poses(problem, state)
+    """The state in the frame of its start. It stays as it is where photos do not tell that frame, or ended so far from where they
+    started that none is nearest."""
+    known, moved = known_of_poses(problem, state), state
     if known is None:
         return state
     for _ in range(MOST_ROUNDS):
-        in_step = constraint(problem, state, known)[: 6 * len(known)]
-        if not bool(torch.isfinite(in_step).all()):
-            return state
+        in_step = constraint(problem, moved, known)[: 6 * len(known)]
         # Not by BLAS, whose sums depend on the number of its threads.
-        much = -torch.from_numpy(np.einsum("kg,k->g", in_step.numpy(), _step(problem, start, state).numpy()))
-        scale, motion = problem.similarities(state).after(much)
-        state = _moved(problem, state, scale, motion)
+        much = -torch.from_numpy(np.einsum("kg,k->g", in_step.numpy(), _step(problem, start, moved).numpy()))
+        if not bool(torch.isfinite(much).all()):
+            return state
+        similarities = problem.similarities(moved)
+        turn_rad, _, growth = (similarities.columns @ much).split([3, 3, 1])
+        much = much * min(1.0, PACE / max(float(turn_rad.norm()), abs(float(growth)), PACE))
+        scale, motion = similarities.after(much)
+        moved = _moved(problem, moved, scale, motion)
+        if float(much.abs().max()) < AT_REST:
+            return moved
         # A scene that has grown leaves shifts as much less certain.
         sizes = torch.tensor([1.0] * 3 + [scale] * 3, dtype=torch.float64)
         known = known / (sizes[:, None] * sizes)
-        if float(much.abs().max()) < AT_REST:
-            break
     return state
 
 
 def _step(problem: LineProblem, start: LinesAndPoses, end: LinesAndPoses) -> Float[Tensor, " b6"]:
-    """Left perturbations of the frames and rig cameras that move, from one state to another."""
-    steps = (end.rig_from_world[problem.free] @ start.rig_from_world[problem.free].inverse()).log()
+    """By how much frames and rig cameras that move are turned, and their centres moved, as left perturbations have it."""
+    steps = _between(start.rig_from_world[problem.free], end.rig_from_world[problem.free])
     if start.rig is not None and end.rig is not None and len(problem.rig_cameras):
         here, there = (rig.cam_from_rig[problem.rig_cameras] for rig in (start.rig, end.rig))
-        steps = torch.cat([steps, (there @ here.inverse()).log()])
+        steps = torch.cat([steps, _between(here, there)])
     return steps.flatten()
+
+
+def _between(start: Pose, end: Pose) -> Float[Tensor, "n 6"]:
+    turn = vector_from_rotation(end.rotation @ start.rotation.mT)
+    return torch.cat([turn, -(end.rotation @ (end.centre - start.centre)[..., None])[..., 0]], -1)
 
 
 def _moved(problem: LineProblem, state: LinesAndPoses, scale: float, motion: Pose) -> LinesAndPoses:

@@ -23,6 +23,8 @@ def weighed(gauge: Float[np.ndarray, "n g"], information: Float[np.ndarray, "b d
     by_block = gauge.reshape(count, dim, gauge.shape[1])
     found = np.einsum("bij,bjg->big", information, by_block).reshape(gauge.shape)
     inner = np.einsum("ng,nh->gh", gauge, found)
+    if not np.isfinite(inner).all():
+        return np.full_like(gauge, np.nan)
     scale = 1 / np.sqrt(np.maximum(np.diagonal(inner), 1e-300))
     values, vectors = np.linalg.eigh(inner * scale[:, None] * scale)
     if not (values > LEAST_TOLD).all():
