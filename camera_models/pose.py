@@ -186,6 +186,12 @@ class Pose:
         """Origin of the left frame in the right one: the camera centre C of a `cam_from_world`, t = -R C."""
         return -(self.rotation.mT @ self.translation[..., None]).squeeze(-1)
 
+    def after_similarity(self, scale: float, motion: "Pose") -> "Pose":
+        """The same cameras where the world is X' = s R X + t, `motion` being (R, t)."""
+        rotation = self.rotation @ motion.rotation.mT
+        centre = scale * (self.centre @ motion.rotation.mT) + motion.translation
+        return Pose(rotation, -(rotation @ centre[..., None])[..., 0])
+
     @property
     def quaternion(self) -> Float[Tensor, "*batch 4"]:
         """Unit quaternion (w, x, y, z) of the rotation, w >= 0."""

@@ -113,14 +113,13 @@ def test_a_scene_is_framed_by_a_similarity_of_what_is_free(held: bool, away: flo
     assert size == (3 if held else 7)
     much = away * torch.randn(size, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
     scale, motion = similarities.after(much)
-    rotation = scene.poses.rotation @ motion.rotation.mT
-    centre = scale * scene.poses.centre @ motion.rotation.mT + motion.translation
-    poses = Pose(rotation, -(rotation @ centre[..., None])[..., 0])
-    chart = start.chart
-    gone = LineChart(
-        scale * chart.centre @ motion.rotation.mT + motion.translation, scale * chart.scale, motion.rotation @ chart.S, chart.phi
-    )
-    moved = LinesAndPoses(poses, gone)
+    gone = start.chart.after_similarity(scale, motion)
+    moved = LinesAndPoses(scene.poses.after_similarity(scale, motion), gone)
+    # Points that move along look as before.
+    points = scale * scene.ends[:, 0] @ motion.rotation.mT + motion.translation
+    seen = moved.cam_from_world[:, None].transform(points[None, :, None])
+    torch.testing.assert_close(seen, scale * scene.poses[:, None].transform(scene.ends[None, :, :1]), rtol=0, atol=1e-10)
+    assert float(gone.lines().distance_to(points).max()) < 1e-10
     if held:
         # The held line is where it was: along itself, about itself and about a place on it.
         assert float(gone.lines()[:1, None].distance_to(scene.ends[:1]).max()) < 1e-12

@@ -95,10 +95,8 @@ def _between(start: Pose, end: Pose) -> Float[Tensor, "n 6"]:
 def _moved(problem: LineProblem, state: LinesAndPoses, scale: float, motion: Pose) -> LinesAndPoses:
     """The scene after a similarity; what is held stays."""
     rotation, translation = state.rig_from_world.rotation.clone(), state.rig_from_world.translation.clone()
-    own = state.rig_from_world[problem.free]
-    turned = own.rotation @ motion.rotation.mT
-    centre = scale * (own.centre @ motion.rotation.mT) + motion.translation
-    rotation[problem.free], translation[problem.free] = turned, -(turned @ centre[..., None])[..., 0]
+    own = state.rig_from_world[problem.free].after_similarity(scale, motion)
+    rotation[problem.free], translation[problem.free] = own.rotation, own.translation
     moved = replace(state, rig_from_world=Pose(rotation, translation), chart=_moved_lines(problem, state.chart, scale, motion))
     if state.rig is None or not len(problem.rig_cameras):
         return moved
@@ -109,13 +107,7 @@ def _moved(problem: LineProblem, state: LinesAndPoses, scale: float, motion: Pos
 
 
 def _moved_lines(problem: LineProblem, chart: LineChart, scale: float, motion: Pose) -> LineChart:
-    moved = LineChart(
-        scale * (chart.centre @ motion.rotation.mT) + motion.translation,
-        scale * chart.scale,
-        motion.rotation @ chart.S,
-        chart.phi,
-    )
-    held = problem.freedom.held_lines
+    moved, held = chart.after_similarity(scale, motion), problem.freedom.held_lines
     if held is None:
         return moved
     return LineChart(

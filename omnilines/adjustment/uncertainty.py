@@ -95,29 +95,30 @@ class GeneralSolution(Solution[LinesAndPoses]):
 
     def prior_share(self) -> float:
         """Parameters that the prior determines, tr(H^-1 P'P)."""
-        return 0.0 if self.by_prior is None else total(self.inverse() * self.by_prior)
+        return 0.0 if self.by_prior is None else total(self.inverse * self.by_prior)
 
+    @cached_property
     def inverse(self) -> Float[Tensor, "k k"]:
         """S^-1 on the constraint."""
         return constrained_inverse(self.reduced.matrix, self.datum)
 
     def kept_covariance(self) -> Float[Tensor, "k k"]:
         """Of frames, rig and cameras together."""
-        return self._with_prior.kept if self.sandwich is not None else self.unit * self.inverse()
+        return self._with_prior.kept if self.sandwich is not None else self.unit * self.inverse
 
     def eliminated_covariance(self) -> Float[Tensor, "count e e"]:
         """Of every line."""
         return (
             self._with_prior.eliminated()
             if self.sandwich is not None
-            else self.unit * eliminated_covariance(self.reduced, self.inverse())
+            else self.unit * eliminated_covariance(self.reduced, self.inverse)
         )
 
     def joint_eliminated_covariance(self, blocks: Int[Tensor, " b"]) -> Float[Tensor, "be be"]:
         """Of some lines together."""
         if self.sandwich is not None:
             return self._with_prior.joint(blocks)
-        return self.unit * joint_eliminated_covariance(self.reduced, self.inverse(), blocks)
+        return self.unit * joint_eliminated_covariance(self.reduced, self.inverse, blocks)
 
     @cached_property
     def _with_prior(self) -> Sandwich:
@@ -221,7 +222,7 @@ def _equations(
     root = vectors @ torch.diag_embed(values.clamp_min(0).sqrt()) @ vectors.mT
     spread = Linearisation(at.residual, root @ at.by_eliminated, tuple(root @ by_kept for by_kept in at.by_kept))
     scores = normal_equations(problem.structure, spread, torch.ones(len(task.arcs), dtype=root.dtype))
-    return problem, replace(solution, sandwich=Sandwich(solution.reduced, solution.inverse(), scores))
+    return problem, replace(solution, sandwich=Sandwich(solution.reduced, solution.inverse, scores))
 
 
 def _parameters(problem: LineProblem, state: LinesAndPoses) -> int:

@@ -78,6 +78,11 @@ class LineChart:
     def __len__(self) -> int:
         return self.phi.shape[0]
 
+    def after_similarity(self, scale: float, motion: Pose) -> "LineChart":
+        """The lines where the world is X' = s R X + t, `motion` being (R, t), each in the chart that moves along."""
+        centre = scale * (self.centre @ motion.rotation.mT) + motion.translation
+        return LineChart(centre, scale * self.scale, motion.rotation @ self.S, self.phi)
+
     def _moment_about_centre(self) -> Tensor:
         return (self.scale * torch.tan(self.phi))[:, None] * self.S[:, :, 1]
 

@@ -71,12 +71,9 @@ def align_to(poses: ImagePoses, reference: ImagePoses) -> tuple[ImagePoses, floa
 
 def moved_poses(poses: ImagePoses, scale: float, similarity: Pose) -> ImagePoses:
     """Poses in the world X' = s R X + t."""
-    rotation = poses.cam_from_world.rotation @ similarity.rotation.mT
-    centre = scale * (poses.cam_from_world.centre @ similarity.rotation.mT) + similarity.translation
-    moved = Pose(rotation, -(rotation @ centre[..., None])[..., 0])
     covariance = poses.covariance
     if covariance is not None:
         # The perturbation is that of the camera's own frame: only lengths change.
         unit = np.array([1.0, 1.0, 1.0, scale, scale, scale])
         covariance = covariance * unit[:, None] * unit
-    return replace(poses, cam_from_world=moved, covariance=covariance)
+    return replace(poses, cam_from_world=poses.cam_from_world.after_similarity(scale, similarity), covariance=covariance)
