@@ -166,8 +166,9 @@ def fit_corners(
     quadrant is one colour, [.., y > 0, x > 0]: the width, in squares, of the strips along both edges that hold no tag. `hasty`:
     only for another fit to start from.
     """
-    blur_px = np.broadcast_to(start_blur_px, corners.shape)
-    parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, np.ascontiguousarray(blur_px))
+    # A copy, as numba compiles once more for what may not be written.
+    blur_px = np.broadcast_to(start_blur_px, corners.shape).copy()
+    parameters, curvature, into_squares, narrowest, widest = starts(corners, first, second, blur_px)
     enough_px = HASTY_PX if hasty else settled_px
     widest_blur_px = max(options.max_blur_squares * median(narrowest), 1.5)
     # In this order what is no number is the least.

@@ -1,9 +1,5 @@
 """The frame of an adjusted scene, where nothing else gives it one: that of the poses it starts from, each photo weighed by how
 well its arcs tell its pose (`least_squares/datum.py`). One with few arcs neither takes others along nor makes them uncertain.
-
-With the information U of a pose while the lines stay, turns in radians and shifts over the distance D of the lines, the weight of
-a photo is 1 / tr U^-1, alike for all turns and shifts: photos that are known equally well count alike, as they do where somebody
-compares camera centres.
 """
 
 from dataclasses import replace
@@ -18,8 +14,7 @@ from omnilines.adjustment.information import pose_information
 from omnilines.adjustment.problem import LineProblem
 from omnilines.adjustment.state import LinesAndPoses
 from omnilines.geometry.line_chart import LineChart
-from omnilines.least_squares.datum import weighed
-from omnilines.least_squares.dense import LEAST_EIGENVALUE
+from omnilines.least_squares.datum import pose_weights, weighed
 
 MOST_ROUNDS, AT_REST = 50, 1e-12
 """Of the search of the similarity, and its size that ends it."""
@@ -35,12 +30,7 @@ def known_of_poses(problem: LineProblem, state: LinesAndPoses) -> Float[Tensor, 
     frames, cameras = pose_information(arcs, state)
     information = torch.cat([frames[problem.free], cameras[problem.rig_cameras]])
     distance_m = float(state.chart.lines()[arcs.track].distance_to(state.cam_from_world.centre[arcs.image]).nanmedian())
-    unit = torch.tensor([1.0] * 3 + [distance_m if distance_m > 0 else 1.0] * 3, dtype=torch.float64)
-    finite = torch.isfinite(information).flatten(1).all(-1)
-    values = torch.linalg.eigvalsh(unit[:, None] * torch.where(finite[:, None, None], information, 0.0) * unit)
-    told = values[:, 0] > LEAST_EIGENVALUE * values[:, -1]
-    weight = torch.where(told, 1.0 / values.reciprocal().sum(-1), 0.0)
-    return weight[:, None, None] * torch.diag(unit**-2)
+    return torch.from_numpy(pose_weights(information.numpy(), distance_m))
 
 
 def constraint(problem: LineProblem, state: LinesAndPoses, known: Float[Tensor, "blocks 6 6"] | None) -> Float[Tensor, "k g"]:

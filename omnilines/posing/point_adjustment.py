@@ -3,8 +3,8 @@
     minimise  sum_i loss(|r_i|^2),   r_i the residual of bearing i in standard deviations (bearing_residual.py),
 
 over rig_from_world of every frame (a photo alone is its own frame) and every point. Points are the eliminated blocks
-(point_kernel.py). Bearings leave a similarity of the world open, or a rigid motion where a rig has a baseline: the step is kept
-across it.
+(kernels/point.py). Bearings leave a similarity of the world open, or a rigid motion where a rig has a baseline: the step is kept
+across it, and covariances weigh every frame by what is known of it (`least_squares/datum.py`).
 """
 
 import math
@@ -17,6 +17,7 @@ from torch import Tensor
 
 from camera_models.pose import Pose, adjoint
 from omnilines.least_squares import Outcome, Step, minimise
+from omnilines.least_squares.datum import pose_weights
 from omnilines.least_squares.pattern import narrower_order, pair_pattern, summed_pieces
 from omnilines.least_squares.reduced_system import ReducedSystem
 from omnilines.posing.kernels import point as point_kernel
@@ -66,8 +67,8 @@ class _Reduction:
     right: Float[np.ndarray, " k"]
     gradient: Float[np.ndarray, " k"]
     """Of the frames themselves, before the reduction."""
-    diagonal: Float[np.ndarray, " k"]
-    """Of the frames' own blocks."""
+    own: Float[np.ndarray, "free 6 6"]
+    """What every frame's observations say of it while the points stay, undamped."""
 
 
 class PointEngine:
@@ -123,7 +124,8 @@ class PointEngine:
             return point_kernel.follow_frames(low, high, self.seen, pose, moved_pose, step, at, damping, found.solved, moved)
 
         parts = in_shares(follow, self.shares)
-        promised = float((kept * (found.gradient + damping * kept * found.diagonal)).sum())
+        diagonal = found.own.diagonal(axis1=1, axis2=2).ravel()
+        promised = float((kept * (found.gradient + damping * kept * diagonal)).sum())
         return Step(trial, float(sum(part[0] for part in parts)), promised + float(sum(part[1] for part in parts)))
 
     def reduce(self, state: PosesAndPoints, damping: float) -> _Reduction | None:
@@ -131,7 +133,7 @@ class PointEngine:
         pose, at = self._arrays(state)
         solved = PointBlocks(np.empty((self.points, 6)), np.empty((self.points, 3)), np.empty((self.points, 3)))
         free, blocks = len(self.free), len(self.pattern.row)
-        sums = [FrameSums(np.zeros((blocks, 6, 6)), np.zeros((free, 12)), np.zeros((free, 6))) for _ in self.shares[1:]]
+        sums = [FrameSums(np.zeros((blocks, 6, 6)), np.zeros((free, 12)), np.zeros((free, 6, 6))) for _ in self.shares[1:]]
         window, block_of = self.pattern.window, self.pattern.block_of
 
         def share(k: int, low: int, high: int) -> int:
@@ -141,11 +143,23 @@ class PointEngine:
             return None
         total = FrameSums(*(np.sum(arrays, axis=0) for arrays in zip(*sums, strict=True)))
         within = np.arange(6)
-        total.blocks[self.pattern.diagonal[:, None], within, within] += damping * total.diagonal
+        total.blocks[self.pattern.diagonal[:, None], within, within] += damping * total.own[:, within, within]
         system = ReducedSystem.of(self.pattern, total.blocks, self._gauge(state), damping)
         if system is None:
             return None
-        return _Reduction(solved, system, total.gradient[:, :6].ravel(), total.gradient[:, 6:].ravel(), total.diagonal.ravel())
+        own = np.triu(total.own) + np.triu(total.own, 1).transpose(0, 2, 1)
+        return _Reduction(solved, system, total.gradient[:, :6].ravel(), total.gradient[:, 6:].ravel(), own)
+
+    def in_datum(self, state: PosesAndPoints) -> ReducedSystem | None:
+        """The undamped system of the frames with a place, each weighed by what is known of it; None where the observations do not
+        determine them."""
+        found = self.reduce(state, 0.0)
+        if found is None:
+            return None
+        centre = state.rig_from_world[torch.from_numpy(self.free)].centre[torch.from_numpy(self.seen.frame)]
+        of_sighting = torch.from_numpy(np.repeat(np.arange(self.points), np.diff(self.seen.start)))
+        distance_m = float((state.points[of_sighting] - centre).norm(dim=-1).median())
+        return found.system.in_datum(pose_weights(found.own, distance_m))
 
     def norms(self, state: PosesAndPoints) -> Float[Tensor, " n"]:
         """|r| of every observation, in the order in which they were given."""
@@ -181,8 +195,8 @@ class Adjusted:
     scale: float
     """What a standard deviation turned out to be, from the residuals that are not gross errors and their degrees of freedom."""
     covariance: Float[np.ndarray, "f 6 6"]
-    """Of every frame's left perturbation, for observations of that scale; NaN for frames that observe nothing or are not
-    determined."""
+    """Of every frame's left perturbation, for observations of that scale, in the frame nearest to the truth, each weighed by what
+    is known of it; NaN for frames that observe nothing or are not determined."""
     converged: bool
 
 
@@ -195,10 +209,10 @@ def adjust_points(
     norm = engine.norms(found.state)
     scale = _scale(norm, 3 * len(start.points) + 6 * len(engine.free), options.gross_sigmas)
     covariance = np.full((len(start.rig_from_world), 6, 6), np.nan)
-    end = engine.reduce(found.state, 0.0)
-    if end is not None:
-        covariance[engine.free] = scale**2 * end.system.covariance_blocks()[engine.pattern.diagonal]
-    good = end is not None and found.outcome in (Outcome.CONVERGED, Outcome.OUT_OF_ITERATIONS)
+    system = engine.in_datum(found.state)
+    if system is not None:
+        covariance[engine.free] = scale**2 * system.covariance_blocks()[engine.pattern.diagonal]
+    good = system is not None and found.outcome in (Outcome.CONVERGED, Outcome.OUT_OF_ITERATIONS)
     return Adjusted(found.state, norm, scale, covariance, good)
 
 

@@ -58,8 +58,8 @@ class FrameSums(NamedTuple):
     """S (blocks x 6 x 6)."""
     gradient: np.ndarray
     """The right side of S, and after it -sum P'r, the frames' own part (frames x 12)."""
-    diagonal: np.ndarray
-    """Of sum P'P (frames x 6)."""
+    own: np.ndarray
+    """Sum P'P, its upper triangle (frames x 6 x 6)."""
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
@@ -184,7 +184,7 @@ def add_pairs(window, block_of, frame, low, high, z, p, blocks):
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy", forceinline=True)
 @no_type_check
 def add_gradient(frame, low, high, r, z, y0, y1, y2, p, sums):
-    """Add the right side, -sum P'r and the diagonal of P'P of one point's observations, with y = L^-1 times its gradient."""
+    """Add the right side, -sum P'r and P'P of one point's observations, with y = L^-1 times its gradient."""
     for k in range(low, high):
         i, f = k - low, frame[k]
         t0 = -r[i, 0] - (z[i, 0, 0] * y0 + z[i, 0, 1] * y1 + z[i, 0, 2] * y2)
@@ -193,7 +193,8 @@ def add_gradient(frame, low, high, r, z, y0, y1, y2, p, sums):
             a, b = p[i, 0, x], p[i, 1, x]
             sums.gradient[f, x] += a * t0 + b * t1
             sums.gradient[f, 6 + x] -= a * r[i, 0] + b * r[i, 1]
-            sums.diagonal[f, x] += a * a + b * b
+            for y in range(x, 6):
+                sums.own[f, x, y] += a * p[i, 0, y] + b * p[i, 1, y]
 
 
 @njit(cache=True, nogil=True)
