@@ -27,8 +27,8 @@ def poses_from_matches(
     point: Int[np.ndarray, " n"],
     sigma_rad: Float[np.ndarray, " n"],
     options: PosingOptions = PosingOptions(),
-) -> tuple[Pose, Float[np.ndarray, "p 6 6"]]:
-    """`cam_from_world` of all photos, numbered from 0, and its covariance: the first photo is the world, the scale is open.
+) -> Pose:
+    """`cam_from_world` of all photos, numbered from 0: the first photo is the world, the scale is open.
 
     Row i sees point `point[i]` from `photo[i]` along a unit bearing, with a standard deviation in either direction across it.
     Bearings of the first pair have to lie before their cameras (z > 0). Raises GeometryError where photos share too few points.
@@ -58,7 +58,7 @@ def poses_from_matches(
         poses[following], known[following] = resected.pose, True
         adjusted = _together(seen, poses, known, options.resection)
     whole = adjusted.state.rig_from_world
-    return whole @ whole[:1].inverse(), adjusted.covariance
+    return whole @ whole[:1].inverse()
 
 
 def _first_pair(seen: Observations, sigma_rad: float, photos: int, options: GivenOptions) -> tuple[int, int, Pose]:

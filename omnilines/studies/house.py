@@ -94,7 +94,7 @@ def poses_of_matches(house: MatchedLines, points: MatchedPoints) -> ImagePoses:
         bearings[own], _ = camera.unproject(points.pixels[own])
         jacobian = camera.unproject_jacobian(torch.as_tensor(points.pixels[own])).detach()
         sigma_rad[own] = CORNER_SIGMA_PX * torch.linalg.matrix_norm(jacobian, ord=2).numpy()
-    poses, _ = poses_from_matches(bearings, points.view, points.point, sigma_rad)
+    poses = poses_from_matches(bearings, points.view, points.point, sigma_rad)
     return align_to(replace(house.poses, cam_from_world=poses), house.poses)[0]
 
 
