@@ -20,6 +20,7 @@ from omnilines.files import write_lines, write_png, write_poses, write_segments
 from omnilines.geometry.geodetic import Origin, geodetic
 from omnilines.photo_file import read_photo
 from omnilines.posing._pycolmap import pycolmap
+from omnilines.posing.tools.nerfstudio import NerfstudioPoses
 from omnilines.records import ImagePoses, Lines, Segments
 
 FAR_M = np.array([500_000.0, 5_400_000.0, 300.0])
@@ -172,6 +173,10 @@ def test_nerfstudio_frames_project_as_ours(cameras: dict, tmp_path: Path) -> Non
     ((path,), _) = ol.export(folder, tmp_path / "transforms.json", photos=tmp_path / "photos").save()
     data = json.loads(path.read_text())
     assert [frame["file_path"] for frame in data["frames"]] == [f"photos/in/{k}.png" for k in range(3)]
+    again = NerfstudioPoses().read(path)
+    assert again.names == tuple(f"photos/{image}" for image in poses.images)
+    torch.testing.assert_close(again.cam_from_world.translation, poses.cam_from_world.translation)
+    torch.testing.assert_close(again.cam_from_world.rotation, poses.cam_from_world.rotation)
     for k, frame in enumerate(data["frames"]):
         lens = data | frame
         camera = list(cameras.values())[k % len(cameras)]

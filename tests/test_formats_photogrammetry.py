@@ -133,6 +133,29 @@ def test_metashape_files_that_no_model_holds_are_refused(tmp_path: Path) -> None
         read(path)
 
 
+def test_metashape_gives_the_adjusted_cameras_of_its_sensors(tmp_path: Path) -> None:
+    """File, Export, Export Cameras."""
+    path = tmp_path / "cameras.xml"
+
+    def sensor(label: str, kind: str, terms: str) -> str:
+        start = f'<calibration type="{kind}" class="initial"><resolution width="640" height="480"/><f>1</f></calibration>'
+        own = f'<calibration type="{kind}" class="adjusted"><resolution width="640" height="480"/>{terms}</calibration>'
+        return f'<sensor id="3" label="{label}" type="{kind}"><resolution width="640" height="480"/>{start}{own}</sensor>'
+
+    sensors = sensor("FC6310", "frame", "<f>500</f><cx>2</cx><k1>-0.1</k1>") + sensor("Theta", "fisheye", "<f>200</f>")
+    text = f'<?xml version="1.0"?>\n<document version="2.0.0"><chunk label="c"><sensors>{sensors}</sensors></chunk></document>'
+    path.write_text(text)
+    content = read(path)
+    assert content.calibration["cam0"].named_parameters() | {"fx": 500.0, "cx": 321.5, "k1": -0.1} == (
+        content.calibration["cam0"].named_parameters()
+    )
+    assert content.calibration["cam1"].NAME == "opencv-fisheye"
+    assert content.notes[0] == "Sensors in the file: cam0 is FC6310, cam1 is Theta."
+    path.write_text(text.replace("calibration", "other"))
+    with pytest.raises(InputError, match="Sensors with a calibration were expected"):
+        read(path, "metashape")
+
+
 def test_metashape_names_its_files(tmp_path: Path) -> None:
     """OpenCV has files that end alike."""
     path = tmp_path / "metashape.xml"

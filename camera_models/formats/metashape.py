@@ -1,4 +1,5 @@
-"""Agisoft Metashape's camera calibration (Tools, Camera Calibration, Save): one camera in XML.
+"""Agisoft Metashape's camera calibration (Tools, Camera Calibration, Save): one camera in XML. Read are those of the sensors
+in its XML of cameras (File, Export, Export Cameras) too, the adjusted ones.
 
     frame        pinhole           x = X / Z, y = Y / Z
     fisheye      opencv-fisheye    (x, y) = theta (cos phi, sin phi), the angles of the bearing off and about the axis
@@ -14,6 +15,7 @@ The upper left corner of the image is (0, 0) there. p1 and p2 are OpenCV's p2 an
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, ClassVar
+from xml.etree import ElementTree
 
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
@@ -36,7 +38,7 @@ _SIZE = ("width", "height")
 
 
 class Metashape(CalibrationFormat):
-    """An XML file with the root `calibration`."""
+    """An XML file with the root `calibration`, or `document`."""
 
     NAME = "metashape"
     TITLE = "Metashape"
@@ -50,12 +52,45 @@ class Metashape(CalibrationFormat):
 
     def recognises(self, path: Path, head: str) -> bool:
         """XML with Metashape's keys."""
-        return path.suffix.lower() in self.SUFFIXES and "<calibration" in head and "<projection>" in head
+        own = "<projection>" in head or ("<document" in head and "<sensor" in head)
+        return path.suffix.lower() in self.SUFFIXES and "<calibration" in head and own
 
     def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
-        keys = _leaves(path)
+        root = read_xml(read_text(path), path)
+        if root.tag == "document":
+            return self._of_sensors(root)
+        if root.tag != "calibration":
+            raise InputError(
+                f"{path} was expected to hold a <calibration>, found <{root.tag}>; save the calibration in Metashape."
+            )
+        keys = _texts(root)
         if "projection" not in keys:
             raise InputError("The key projection is missing in the file; add it.")
+        beside = [key for key in keys if key not in ("projection", "f", "date", *_SIZE, *_TERMS)]
+        camera = self._camera(keys)
+        return Content(Calibration({DEFAULT_NAME: camera}), (f"Not kept: {listed(beside)}.",) if beside else ())
+
+    def _of_sensors(self, root: ElementTree.Element) -> Content:
+        cameras: dict[str, CameraModel] = {}
+        labels: dict[str, str] = {}
+        for sensor in root.iter("sensor"):
+            found = sensor.findall("calibration")
+            best = next((one for one in found if one.get("class") == "adjusted"), found[0] if found else None)
+            if best is None:
+                continue
+            size = best.find("resolution") if best.find("resolution") is not None else sensor.find("resolution")
+            sides = {} if size is None else {key: size.get(key, "") for key in _SIZE}
+            kind = best.get("type") or sensor.get("type") or _FRAME
+            name = f"cam{len(cameras)}"
+            cameras[name] = self._camera({"projection": kind, **sides} | _texts(best))
+            labels[name] = sensor.get("label") or sensor.get("id") or ""
+        if not cameras:
+            raise InputError("Sensors with a calibration were expected, found none; align the photos in Metashape first.")
+        told = listed(f"{name} is {label}" for name, label in labels.items())
+        poses = "Poses of photos are not kept: --poses of reconstruct takes the same file."
+        return Content(Calibration(cameras), ((f"Sensors in the file: {told}.", poses) if len(cameras) > 1 else (poses,)))
+
+    def _camera(self, keys: Mapping[str, str]) -> CameraModel:
         form = self.form_named(keys["projection"], "the file")
         numbers = {key: _number(keys, key) for key in (*_SIZE, "f", *_TERMS)}
         sides = [int(side) if side == int(side) else side for side in (numbers[key] for key in _SIZE)]
@@ -68,9 +103,7 @@ class Metashape(CalibrationFormat):
                 "in Metashape."
             )
         named = {} if form.name == _SPHERICAL else _pixels(numbers, size)
-        camera = form.camera([named[key] for key in form.order or ()], size, "the file")
-        beside = [key for key in keys if key not in ("projection", "f", "date", *_SIZE, *_TERMS)]
-        return Content(Calibration({DEFAULT_NAME: camera}), (f"Not kept: {listed(beside)}.",) if beside else ())
+        return form.camera([named[key] for key in form.order or ()], size, "the file")
 
     def _documents(self, path: Path, calibration: Calibration) -> Documents:
         ((_, model),) = calibration.items()
@@ -83,12 +116,9 @@ class Metashape(CalibrationFormat):
         return {path: "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', "<calibration>", *lines, "</calibration>", ""])}
 
 
-def _leaves(path: Path) -> dict[str, str]:
-    """The text of each element below the root."""
-    root = read_xml(read_text(path), path)
-    if root.tag != "calibration":
-        raise InputError(f"{path} was expected to hold a <calibration>, found <{root.tag}>; save the calibration in Metashape.")
-    return {leaf.tag: (leaf.text or "").strip() for leaf in root}
+def _texts(calibration: ElementTree.Element) -> dict[str, str]:
+    """The text of each element of a calibration; a resolution has none."""
+    return {leaf.tag: leaf.text.strip() for leaf in calibration if leaf.text and leaf.text.strip()}
 
 
 def _number(keys: Mapping[str, str], key: str) -> float:

@@ -22,12 +22,20 @@ if TYPE_CHECKING:
 Calibration = Annotated[
     Path, typer.Option("--calibration", help="calibration.yaml; of panoramas equirectangular.", show_default=False)
 ]
-Poses = Annotated[Path, typer.Option("--poses", help="poses.csv (cam_from_world) or a COLMAP model's folder", show_default=False)]
+Poses = Annotated[
+    Path,
+    typer.Option(
+        "--poses",
+        help="poses.csv (cam_from_world), a COLMAP model's folder, or a file of Metashape, Nerfstudio, OpenMVG or OpenSfM.",
+        show_default=False,
+    ),
+]
 PoseSource = Annotated[
     str,
     typer.Option(
         "--poses",
-        help="poses.csv or a COLMAP model's folder; with photos also sfm, rig, boards or rectangle:279x216mm (a sheet of paper).",
+        help="poses.csv, a COLMAP model's folder, or a file of Metashape, Nerfstudio, OpenMVG or OpenSfM; with photos also sfm, "
+        "rig, boards or rectangle:279x216mm (a sheet of paper).",
         show_default=False,
     ),
 ]

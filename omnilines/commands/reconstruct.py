@@ -40,7 +40,9 @@ from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
 from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_corners import poses_from_corners
+from omnilines.posing.from_tool import poses_from_tool
 from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.tools import pose_file_of
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Segments
 from omnilines.report import write_report
@@ -189,12 +191,15 @@ def _pose_files(source: str) -> list[Path]:
 
 
 def _poses(path: Path, segments: Segments, cameras: Calibration) -> PhotoPoses:
-    """The poses of a table or a COLMAP model, or those that see a table's points of known place."""
-    if not path.is_dir() and not is_corners_table(path):
+    """The poses of a table, a COLMAP model or another tool's file, or those that see a table's points of known place."""
+    tool = pose_file_of(path)
+    if tool is None and not path.is_dir() and not is_corners_table(path):
         return PhotoPoses(read_poses(path))
     camera_of = dict(zip(segments.images, cameras_of_images(segments, None, cameras), strict=True))
     if path.is_dir():
         return poses_from_colmap(path, segments.images, camera_of)
+    if tool is not None:
+        return poses_from_tool(path, tool, segments.images, camera_of)
     found = poses_from_corners(read_corners(path), cameras, camera_of)
     if found.left_out:
         raise InputError(f"{path}: {next(iter(found.left_out.values()))}")

@@ -11,6 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 AXIS_M, FLATTENING = 6378137.0, 1 / 298.257223563
+NEAR_SURFACE = 0.01
+"""Of the half axis: the poles are 0.0034 below it, aircraft 0.002 above the ground."""
 _POLAR_M = AXIS_M * (1 - FLATTENING)
 _E2 = FLATTENING * (2 - FLATTENING)
 """Square of the first eccentricity."""
@@ -36,6 +38,18 @@ def geodetic(points_m: Float[np.ndarray, "*n 3"], origin: Origin) -> Float[np.nd
     s, c, t, k = math.sin(longitude), math.cos(longitude), math.sin(latitude), math.cos(latitude)
     earth_from_world = np.array([[-s, -t * c, k * c], [c, -t * s, k * s], [0.0, k, t]])
     return _geodetic_of_earth(points_m @ earth_from_world.T + centre)
+
+
+def near_surface(point_m: Float[np.ndarray, "3"]) -> bool:
+    """Whether a point in earth-centred metres is where photos are taken, and not, say, near the origin of a frame of its own."""
+    return abs(float(np.linalg.norm(point_m)) / AXIS_M - 1) < NEAR_SURFACE
+
+
+def up_at(point_m: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The unit normal of the ellipsoid below a point in earth-centred metres."""
+    longitude, latitude = np.radians(_geodetic_of_earth(point_m)[:2])
+    level = math.cos(latitude)
+    return np.array([level * math.cos(longitude), level * math.sin(longitude), math.sin(latitude)])
 
 
 def _geodetic_of_earth(points_m: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:

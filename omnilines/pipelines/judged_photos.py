@@ -16,7 +16,7 @@ from omnilines.posing.readings import Reading, other_readings, rarer_readings
 from omnilines.progress import ProgressCallback
 from omnilines.records import Advice
 
-READ = ("table", "colmap")
+READ = ("table", "colmap", "tool")
 """Sources of poses whose numbers may be of another convention."""
 EXPECTED = "X_cam = R X_world + t and qw,qx,qy,qz were expected"
 AXES_KINDS = 2

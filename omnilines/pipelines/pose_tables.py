@@ -16,6 +16,7 @@ from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rig import complete_from_rig
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.tools import pose_file_of
 from omnilines.records import ImagePoses, LengthUnit
 
 
@@ -27,7 +28,7 @@ def instants(names: Sequence[str]) -> dict[str, str]:
 def named_cameras(source: str) -> dict[str, str]:
     """The camera of every photo for which a poses.csv names one; none of another source. Raises as `read_poses`."""
     path = Path(source)
-    if not path.is_file() or is_corners_table(path):
+    if not path.is_file() or is_corners_table(path) or pose_file_of(path) is not None:
         return {}
     table = read_poses(path)
     return {image: name for image, name in zip(table.images, table.cameras or (), strict=False) if name}
@@ -89,7 +90,7 @@ def _of_other_cameras(table: ImagePoses, camera_of: Mapping[str, str], path: str
 def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> LengthUnit:
     """What the poses of a source are in, before they are known.
 
-    A rig whose cameras stand apart gives metres, and a board does; of a table and a COLMAP model as `unit_of_file`.
+    A rig whose cameras stand apart gives metres, and a board does; of a file and a COLMAP model as `unit_of_file`.
     """
     if source == "sfm":
         names = set(camera_of.values())
@@ -101,16 +102,22 @@ def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str
 
 def unit_of_file(poses: Path) -> LengthUnit:
     """What a poses.csv is in: metres, unless it lies in a scene folder whose calibration.yaml says that the unit is open. The
-    folder of a COLMAP model does not say."""
+    folder of a COLMAP model does not say; files of other tools may."""
     if poses.is_dir():
         return LengthUnit.OPEN
+    tool = pose_file_of(poses)
+    if tool is not None:
+        return tool.read(poses).unit
     return LengthUnit.OPEN if _said_beside(poses).get(UNIT_KEY) == LengthUnit.OPEN.sign else LengthUnit.METRES
 
 
 def up_of_file(poses: Path) -> tuple[float, float, float] | None:
-    """What is up in the world of a poses.csv, where it lies in a scene folder whose calibration.yaml says so. Raises InputError
-    where that is no direction."""
-    return None if poses.is_dir() else stated_up(_said_beside(poses), _beside(poses))
+    """What is up in the world of a poses.csv, where it lies in a scene folder whose calibration.yaml says so, and in that of
+    another tool's file that says it. Raises InputError where that is no direction."""
+    if poses.is_dir():
+        return None
+    tool = pose_file_of(poses)
+    return stated_up(_said_beside(poses), _beside(poses)) if tool is None else tool.read(poses).up
 
 
 def _beside(poses: Path) -> Path:

@@ -1,4 +1,4 @@
-"""Where the poses of photos come from: a table, a COLMAP model, a rig, a board, a sheet, or the photos themselves."""
+"""Where the poses of photos come from: a table, a COLMAP model, another tool's file, a rig, a board, a sheet, or the photos."""
 
 import hashlib
 import json
@@ -30,10 +30,12 @@ from omnilines.posing.from_boards import poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_rectangles import poses_from_rectangles
 from omnilines.posing.from_rig import poses_from_rig
+from omnilines.posing.from_tool import poses_from_tool
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import PREFIX, parse_rectangle
 from omnilines.posing.sfm import LEAST_PHOTOS, sfm_poses
+from omnilines.posing.tools import TITLES, pose_file_of
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Advice, ImagePoses
 
@@ -96,7 +98,8 @@ def estimate_poses(
     """Poses of photos, or of the photos that arcs were found in.
 
     `source` is `sfm` (structure from motion), `rig`, `boards` (with a `pattern`), `rectangle:WIDTHxHEIGHT` (a sheet of that
-    size, found by its arcs), or the path of a poses.csv, a corners.csv of points of known place, or a folder with a COLMAP model.
+    size, found by its arcs), or the path of a poses.csv, a corners.csv of points of known place, a folder with a COLMAP model, or
+    a file with poses of Metashape, Nerfstudio, OpenMVG or OpenSfM (`omnilines/posing/tools`).
     Of a rig, a frame is the photos of one file name; poses of a table that names some of its cameras are completed. Poses that
     were looked for in photos are kept in the folder `work`, where one is given.
 
@@ -144,7 +147,8 @@ def kind_of(source: str) -> str:
     """The kind of a source of poses, as `PhotoPoses` names it."""
     if from_photos(source):
         return source.split(":")[0]
-    return "colmap" if Path(source).is_dir() else "table"
+    path = Path(source)
+    return "colmap" if path.is_dir() else "table" if pose_file_of(path) is None else "tool"
 
 
 @dataclass(frozen=True)
@@ -228,9 +232,12 @@ def _without_photos(
         return poses_from_colmap(source, names, camera_of)
     if not Path(source).is_file():
         raise InputError(
-            "`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, or one of "
+            f"`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, {TITLES}, or one of "
             f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
         )
+    tool = pose_file_of(Path(source))
+    if tool is not None:
+        return poses_from_tool(Path(source), tool, names, camera_of)
     return from_table(Path(source), names, cameras, camera_of, options)
 
 

@@ -41,7 +41,7 @@ from omnilines.pipelines.cornered_lines import cornered_lines, corners_of
 from omnilines.pipelines.directions import world_verticals
 from omnilines.pipelines.frame import SFM, KnownDistance, require_poses, scene_frame, without_scale
 from omnilines.pipelines.frame_notes import frame_notes, unplaced_notes
-from omnilines.pipelines.judged_photos import doubted_photos, refuse_reading
+from omnilines.pipelines.judged_photos import READ, doubted_photos, refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import SceneOptions
@@ -176,7 +176,7 @@ def _with_poses(
     given = posed.poses
     if pose_sigma is not None and posed.source == SFM:
         raise InputError("A prior holds given poses, found those of the photos alone (`poses` sfm); leave the prior out.")
-    if "poses" in options.refine and posed.source in ("table", "colmap") and posed.poses.frames is None:
+    if "poses" in options.refine and posed.source in READ and posed.poses.frames is None:
         posed = better_poses(
             arcs.photos,
             posed,

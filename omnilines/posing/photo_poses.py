@@ -22,7 +22,8 @@ class PhotoPoses:
     notes: tuple[str, ...] = ()
     """What a person should know of the poses, one sentence each."""
     source: str = "table"
-    """What they come from: table, colmap, rig, boards, rectangle or sfm. The world of sfm is the frame of a photo."""
+    """What they come from: table, colmap, tool (another tool's file), rig, boards, rectangle or sfm. The world of sfm is the
+    frame of a photo."""
     unit: LengthUnit = LengthUnit.METRES
     up: tuple[float, float, float] | None = None
     """The direction (unit) of the world that is up, where the scene that they are of says so."""
