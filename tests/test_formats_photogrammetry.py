@@ -1,6 +1,7 @@
 """Files of OpenSfM, Metashape and lensfun: the equations of their documents, beside what is read."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -122,9 +123,45 @@ def test_metashape_fisheyes_are_polynomials_of_the_angle(tmp_path: Path) -> None
     np.testing.assert_allclose(camera.project(RAYS)[0] + 0.5, expected, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("kind", "own", "f", "terms", "rms_px"),
+    [
+        ("frame", "pinhole", 900.0, {"b2": 0.4, "k1": -0.1, "k2": 0.09, "k3": -0.05, "k4": 0.01, "p1": 5e-4, "p2": -3e-4}, 0.02),
+        ("frame", "pinhole", 900.0, {"k1": -0.1, "k2": 0.02, "p1": 5e-4, "p2": -3e-4, "p3": 0.2}, 0.02),
+        ("fisheye", "unified", 420.0, {"b1": 1.0, "b2": 0.4, "k1": 0.02, "k2": -0.01, "k3": 1e-3, "p1": 5e-4, "p2": -3e-4}, 0.3),
+    ],
+)
+def test_metashape_cameras_with_terms_of_their_own_are_read_as_near_as_is_said(
+    tmp_path: Path, kind: str, own: str, f: float, terms: dict[str, float], rms_px: float
+) -> None:
+    content = read(metashape(tmp_path, kind, f=f, cx=3.0, cy=-2.0, **terms))
+    (camera,), (estimate,), (note,) = content.calibration.values(), content.calibration.estimates.values(), content.notes
+    assert camera.NAME == own
+    said_px, said_rms_px = (float(note.rpartition(word)[2].split(" px")[0]) for word in ("within ", "px ("))
+    assert said_rms_px < rms_px
+    rng = np.random.default_rng(0)
+    rays = rng.normal([0.0, 0.0, 1.0 if kind == "frame" else 0.2], 1.0, (3000, 3))
+    rays = rays[np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2]) < math.radians(estimate.max_angle_deg)]
+    level = rays[:, :2] / np.hypot(rays[:, 0], rays[:, 1])[:, None]
+    theta = np.arctan2(np.hypot(rays[:, 0], rays[:, 1]), rays[:, 2])
+    x, y = (np.tan(theta) if kind == "frame" else theta) * level.T
+    r2 = x * x + y * y
+    k, p = (np.array([terms.get(f"{name}{n}", 0.0) for n in range(1, 5)]) for name in "kp")
+    radial, growing = 1 + sum(k[n] * r2 ** (n + 1) for n in range(4)), 1 + p[2] * r2 + p[3] * r2**2
+    across = x * radial + growing * (p[0] * (r2 + 2 * x * x) + 2 * p[1] * x * y)
+    down = y * radial + growing * (p[1] * (r2 + 2 * y * y) + 2 * p[0] * x * y)
+    u = WIDTH / 2 + 3.0 + (f + terms.get("b1", 0.0)) * across + terms.get("b2", 0.0) * down - 0.5
+    v = HEIGHT / 2 - 2.0 + f * down - 0.5
+    inside = (u >= 0) & (u <= WIDTH - 1) & (v >= 0) & (v <= HEIGHT - 1)
+    off = np.hypot(*(np.asarray(camera.project(rays)[0]) - np.stack([u, v], -1))[inside].T)
+    assert inside.sum() > 25 and off.max() < 1.05 * said_px + 1e-6 and np.sqrt((off**2).mean()) < 2 * said_rms_px + 1e-6
+
+
 def test_metashape_files_that_no_model_holds_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"without p1, p2, .*found p1 = 0.001, p2 = -0.002; hold these at 0 in Metashape"):
-        read(metashape(tmp_path, "fisheye", f=400.0, p1=1e-3, p2=-2e-3))
+    with pytest.raises(InputError, match=r"without p1, p2; hold these at 0 in Metashape"):
+        read(metashape(tmp_path, "spherical", p1=1e-3, p2=-2e-3))
+    with pytest.raises(InputError, match=r"curve that grows with the angle was expected, found one that does not"):
+        read(metashape(tmp_path, "fisheye", f=400.0, k1=-1e6, p1=1e-3))
     with pytest.raises(InputError, match=r"counterpart here \(frame, fisheye, spherical\), found equisolid_fisheye"):
         read(metashape(tmp_path, "equisolid_fisheye", f=400.0))
     path = metashape(tmp_path, "frame", f=400.0)

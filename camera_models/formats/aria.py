@@ -20,9 +20,10 @@ from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
-from camera_models.formats.fisheye624 import Nearest, nearest_fisheye624
+from camera_models.formats.fisheye624 import nearest_fisheye624
 from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
+from camera_models.formats.nearest import Nearest
 from camera_models.formats.rig_poses import pose_of_quaternion, quaternion_of_pose, rig_of
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, numbers, required, text

@@ -19,10 +19,12 @@ from xml.etree import ElementTree
 
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
-from camera_models.formats.calibration_data import Calibration
+from camera_models.formats.calibration_data import Calibration, CameraEstimate
 from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
 from camera_models.formats.disk import read_text
 from camera_models.formats.forms import Form
+from camera_models.formats.metashape_lens import nearest_metashape
+from camera_models.formats.nearest import Nearest
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import number, of_text
 from camera_models.formats.xml_text import read_xml
@@ -33,7 +35,7 @@ _CENTRE = 0.5
 """Of the first pixel, in Metashape."""
 _TERMS = ("cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 _NO_PLACE = {_FRAME: ("k4", "p3", "p4"), _FISHEYE: ("b2", "p1", "p2", "p3", "p4"), _SPHERICAL: _TERMS}
-"""Terms that our model of a projection has not: they have to be 0."""
+"""Terms that our model of a projection has not: with these, the nearest camera is read."""
 _SIZE = ("width", "height")
 
 
@@ -67,11 +69,10 @@ class Metashape(CalibrationFormat):
         if "projection" not in keys:
             raise InputError("The key projection is missing in the file; add it.")
         beside = [key for key in keys if key not in ("projection", "f", "date", *_SIZE, *_TERMS)]
-        camera = self._camera(keys)
-        return Content(Calibration({DEFAULT_NAME: camera}), (f"Not kept: {listed(beside)}.",) if beside else ())
+        return _content({DEFAULT_NAME: self._camera(keys)}, (f"Not kept: {listed(beside)}.",) if beside else ())
 
     def _of_sensors(self, root: ElementTree.Element) -> Content:
-        cameras: dict[str, CameraModel] = {}
+        cameras: dict[str, CameraModel | Nearest] = {}
         labels: dict[str, str] = {}
         for sensor in root.iter("sensor"):
             found = sensor.findall("calibration")
@@ -88,21 +89,21 @@ class Metashape(CalibrationFormat):
             raise InputError("Sensors with a calibration were expected, found none; align the photos in Metashape first.")
         told = listed(f"{name} is {label}" for name, label in labels.items())
         poses = "Poses of photos are not kept: --poses of reconstruct takes the same file."
-        return Content(Calibration(cameras), ((f"Sensors in the file: {told}.", poses) if len(cameras) > 1 else (poses,)))
+        return _content(cameras, (f"Sensors in the file: {told}.", poses) if len(cameras) > 1 else (poses,))
 
-    def _camera(self, keys: Mapping[str, str]) -> CameraModel:
+    def _camera(self, keys: Mapping[str, str]) -> CameraModel | Nearest:
         form = self.form_named(keys["projection"], "the file")
         numbers = {key: _number(keys, key) for key in (*_SIZE, "f", *_TERMS)}
         sides = [int(side) if side == int(side) else side for side in (numbers[key] for key in _SIZE)]
         size = size_of(sides, "width and height")
         beyond = [key for key in _NO_PLACE[form.name] if numbers[key] != 0]
-        if beyond:
-            raise InputError(
-                f"A camera of the type {form.name} was expected without {listed(beyond)}, for which the camera model "
-                f"{form.model} has no place, found {listed(f'{key} = {numbers[key]:g}' for key in beyond)}; hold these at 0 "
-                "in Metashape."
-            )
+        if form.name == _SPHERICAL and beyond:
+            raise InputError(f"A spherical camera was expected without {listed(beyond)}; hold these at 0 in Metashape.")
         named = {} if form.name == _SPHERICAL else _pixels(numbers, size)
+        if beyond:
+            if not numbers["f"] > 0:
+                raise InputError(f"f must be above 0, found {numbers['f']:g}; correct it.")
+            return nearest_metashape(numbers, (named["cx"], named["cy"]), size, form.name == _FISHEYE)
         return form.camera([named[key] for key in form.order or ()], size, "the file")
 
     def _documents(self, path: Path, calibration: Calibration) -> Documents:
@@ -114,6 +115,19 @@ class Metashape(CalibrationFormat):
             keys |= _terms(model)
         lines = [f"  <{key}>{value}</{key}>" for key, value in keys.items()]
         return {path: "\n".join(['<?xml version="1.0" encoding="UTF-8"?>', "<calibration>", *lines, "</calibration>", ""])}
+
+
+def _content(found: Mapping[str, CameraModel | Nearest], notes: tuple[str, ...]) -> Content:
+    """Cameras, with what is to be said of those that are only near."""
+    cameras = {name: one.camera if isinstance(one, Nearest) else one for name, one in found.items()}
+    near = {name: one for name, one in found.items() if isinstance(one, Nearest)}
+    told = tuple(
+        f"{name} has terms for which no camera model here has a place: it is read as the {one.camera.NAME} camera nearest to it, "
+        f"up to {one.upto_deg:.1f} degrees off axis and within {one.max_px:.2g} px ({one.rms_px:.2g} px RMS)."
+        for name, one in near.items()
+    )
+    estimates = {name: CameraEstimate(max_angle_deg=one.upto_deg) for name, one in near.items()}
+    return Content(Calibration(cameras, estimates), (*told, *notes))
 
 
 def _texts(calibration: ElementTree.Element) -> dict[str, str]:

@@ -1,13 +1,17 @@
-"""The scaramuzza polynomial nearest to a radial curve of another tool, which no model here holds exactly."""
+"""The camera nearest to one of another tool, which no model here holds exactly: the scaramuzza polynomial of its radial curve, or
+what comes nearer from a start."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Float
 
+from camera_models._model import CameraModel
 from camera_models.errors import InputError
+from camera_models.fitting import refine
 from camera_models.scaramuzza import Scaramuzza
 
 DEGREES = range(3, 13)
@@ -18,6 +22,11 @@ PARTS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
 """Of the curve of a lens that does not fill the image: what it says beyond its image circle was never measured."""
 NEAR_PX = 0.1
 """Error of a polynomial that follows the curve."""
+SAMPLES = 500
+"""Of a curve."""
+RINGS, AROUND = 60, 32
+FINER = 3
+"""Times as many rings and directions as were fitted are compared."""
 
 
 @dataclass(frozen=True)
@@ -74,3 +83,87 @@ def nearest_polynomial(
             "A polynomial that grows with the angle over the image was expected, found one that no lens has; correct it."
         )
     return best, least
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A camera of another tool."""
+
+    radius: Callable[[Float[np.ndarray, "*m"]], Float[np.ndarray, "*m"]]
+    """Of theta (rad) off axis, over the focal length: its radial part."""
+    image: Callable[[Float[np.ndarray, "m 1"], Float[np.ndarray, "n 2"]], Float[np.ndarray, "m n 2"]]
+    """Pixels of directions theta off axis and (x, y), of length 1, about it: the whole camera."""
+    focal_px: float
+    centre: Float[np.ndarray, "2"]
+    size: tuple[int, int]
+    limit_rad: float
+    """Off axis, beyond which it sees nothing."""
+
+    def end_rad(self) -> float:
+        """The angle up to which the curve grows and some of the image shows it; raises InputError where it does not grow."""
+        theta = np.linspace(0.0, self.limit_rad, SAMPLES + 2)[1:-1]
+        w, h = self.size
+        reach = math.hypot(max(self.centre[0], w - 1 - self.centre[0]), max(self.centre[1], h - 1 - self.centre[1]))
+        radius_px = self.focal_px * self.radius(theta)
+        use = (np.diff(radius_px, prepend=0.0) > 0) & (radius_px <= reach)
+        stop = len(theta) if use.all() else int(np.argmin(use))
+        if stop < 2:
+            raise InputError("A curve that grows with the angle was expected, found one that does not; correct the parameters.")
+        return float(theta[stop - 1])
+
+    def seen(self, end_rad: float, finer: int) -> tuple[Float[torch.Tensor, "n 3"], Float[torch.Tensor, "n 2"]]:
+        """Bearings up to an angle off axis whose images lie within the image, and these."""
+        theta = np.linspace(0.0, end_rad, finer * RINGS + 1)[1:, None]
+        phi = np.linspace(0.0, 2 * math.pi, finer * AROUND, endpoint=False)
+        corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) * (np.array(self.size) - 1.0) - self.centre
+        corners = corners[corners.any(1)]
+        # The corners are farthest off axis, where cameras differ most.
+        level = np.concatenate([np.stack([np.cos(phi), np.sin(phi)], -1), corners / np.linalg.norm(corners, axis=1)[:, None]])
+        pixels = self.image(theta, level)
+        ahead = np.broadcast_to(np.cos(theta)[..., None], (*pixels.shape[:2], 1))
+        bearings = np.concatenate([np.sin(theta)[..., None] * level, ahead], -1)
+        inside = ((pixels >= 0) & (pixels <= np.array(self.size) - 1.0)).all(-1)
+        return torch.from_numpy(bearings[inside]), torch.from_numpy(pixels[inside])
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """A camera, and how far it is from the one that a file describes, within the image."""
+
+    camera: CameraModel
+    rms_px: float
+    max_px: float
+    upto_deg: float
+    """Off axis."""
+
+
+def nearest_camera(lens: Lens, starts: Sequence[CameraModel] = ()) -> Nearest:
+    """The scaramuzza polynomial of the radial part whose centre and affine matrix are nearest, or the nearest camera of the model
+    of a start.
+
+    Raises InputError where the curve does not grow within the image, or no camera follows it.
+    """
+    theta = np.linspace(0.0, lens.end_rad(), SAMPLES + 1)[1:]
+    polynomial, fit = nearest_lens(lens.focal_px * lens.radius(theta), theta, lens.centre, lens.size)
+    end_rad = math.radians(fit.upto_deg)
+    # What the other terms add is the same in opposite directions, so the radial part stays what it is.
+    radial = {name: value for name, value in polynomial.named_parameters().items() if name.startswith("a")}
+    some, all_of = lens.seen(end_rad, 1), lens.seen(end_rad, FINER)
+    tried = [refine(polynomial, *some, held=radial), *(refine(start, *some) for start in starts)]
+    found = [
+        Nearest(camera, float(off.square().mean().sqrt()), float(off.max()), fit.upto_deg)
+        for camera in tried
+        for off in [_off_px(camera, *all_of)]
+        if off is not None
+    ]
+    if not found:
+        raise InputError("A camera that some model follows was expected, found one that none does; correct its parameters.")
+    return min(found, key=lambda one: one.rms_px)
+
+
+def _off_px(
+    camera: CameraModel, bearings: Float[torch.Tensor, "n 3"], pixels: Float[torch.Tensor, "n 2"]
+) -> Float[torch.Tensor, " n"] | None:
+    """How far images are off; None where the camera does not see all of them."""
+    projected, valid = camera.project(bearings)
+    return (projected - pixels).norm(dim=-1) if bool(valid.all()) else None
