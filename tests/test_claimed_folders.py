@@ -1,8 +1,9 @@
 """No result goes over an input, or over a file that is not a result itself; sets of results are new as a whole or not at all."""
 
+import contextlib
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from hostile.good import give
 
 from camera_models.errors import InputError
 from camera_models.formats import disk
-from camera_models.formats.disk import MANIFEST, MOVING, read_text, write_atomically
+from camera_models.formats.disk import MANIFEST, MOVING, own_folder, read_text, write_atomically
 from omnilines import cli
 from omnilines.cli._shared import run
 from omnilines.commands.result import CommandResult
@@ -271,6 +272,57 @@ def test_what_is_kept_goes_into_a_folder_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "mine/notes.txt").write_text("mine")
     with pytest.raises(InputError, match="not of an earlier run"):
         work_folder(tmp_path / "mine")
+
+
+def test_a_run_beside_keeps_its_folder_and_what_a_killed_one_left_is_removed(tmp_path: Path) -> None:
+    (tmp_path / "colmap.dead0000/mapper").mkdir(parents=True)
+    (tmp_path / "colmap.txt").write_text("mine")
+    with own_folder(tmp_path, "colmap.") as first, own_folder(tmp_path, "colmap.") as second:
+        assert first != second and first.is_dir() and not (tmp_path / "colmap.dead0000").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["colmap.txt"]
+
+
+@pytest.mark.parametrize("how", ["has it", "had it"])
+def test_a_folder_that_a_run_beside_takes_for_a_left_one_is_made_again(
+    how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the moment before it is locked."""
+    taken: list[Path] = []
+    real = disk.locked
+
+    @contextlib.contextmanager
+    def locked(folder: Path, wait: bool = False) -> Iterator[None]:
+        if folder != tmp_path and not taken:
+            taken.append(folder)
+            folder.rmdir()
+            if how == "has it":
+                raise BlockingIOError
+            yield
+        else:
+            with real(folder, wait):
+                yield
+
+    monkeypatch.setattr(disk, "locked", locked)
+    with claimed(tmp_path, ["a.csv"], by="test") as folder:
+        assert len([path for path in folder.iterdir() if path.is_dir()]) == 1
+        write_atomically(folder / "a.csv", "1")
+    assert taken and everything(tmp_path) == {"a.csv": "1"}
+
+
+def test_folders_are_not_refused_for_what_runs_beside_do_in_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    work = tmp_path / "work"
+    (work / ".omnilines.abcd0123.part").mkdir(parents=True)  # a look whether it can be written to
+    (work / "..omnilines.json.abcd0123.part").write_text("")  # its list, half written
+    check_work_folder(work)
+    assert work_folder(work) == work
+
+    def gone(folder: Path) -> None:
+        """Another run has removed it, as one left behind."""
+        os.rmdir(folder)
+        raise FileNotFoundError(folder)
+
+    monkeypatch.setattr(Path, "rmdir", gone)
+    check_results(tmp_path, ["a.csv"])
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="a file system where nothing can be made: /proc, of Linux")

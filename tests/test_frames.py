@@ -24,6 +24,7 @@ from omnilines.calibration.telling import ViewInformation, telling_instants
 from omnilines.cli import main
 from omnilines.commands.frames import with_frames
 from omnilines.commands.result import CommandResult
+from omnilines.files import find_photos
 from omnilines.files.split import Split
 from omnilines.files.videos import Video, find_videos, together
 from omnilines.footage.alignment import lead_s, put_together
@@ -196,6 +197,39 @@ def test_lenses_side_by_side_are_cut_apart(tmp_path: Path) -> None:
             Split.of(wrong)
     with pytest.raises(InputError, match="equal parts"):
         Split.of("a,b,c").parts(left)
+
+
+@pytest.mark.parametrize("split", [None, "left,right"])
+def test_frames_of_one_run_are_not_read_by_another(split: str | None, tmp_path: Path) -> None:
+    given = []
+    for name, grey in (("a", 40), ("b", 200)):
+        picture = np.full((48, 128, 3), grey, dtype=np.uint8)
+        if split is None:
+            given.append(tmp_path / f"{name}.avi")
+            film = cv2.VideoWriter(str(given[-1]), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), 10.0, (128, 48))
+            for _ in range(5):
+                film.write(picture)
+            film.release()
+        else:
+            given.append(tmp_path / name)
+            given[-1].mkdir()
+            cv2.imwrite(str(given[-1] / "000000.png"), picture)
+    seen: list[int] = []
+
+    def last(paths: list[Path]) -> CommandResult:
+        """It reads its frames."""
+        seen.append(int(cv2.imread(str(find_photos(paths)[0].path)).mean().round()))
+        return CommandResult((), {})
+
+    def first(paths: list[Path]) -> CommandResult:
+        """Another run begins before this one has read its frames."""
+        with pytest.raises(InputError, match=r"out was expected to be written to by one run at a time, found another one"):
+            with_frames(last, given[1:], tmp_path / "out", split=split)
+        return last(paths)
+
+    with_frames(first, given[:1], tmp_path / "out", split=split)
+    with_frames(last, given[1:], tmp_path / "out", split=split)
+    assert seen == [40, 200]
 
 
 def test_frames_of_a_scene_are_apart(video: Path) -> None:

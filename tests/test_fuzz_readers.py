@@ -1,7 +1,6 @@
 """Files mutated at random: whatever a reader is given, nothing but InputError leaves it, in one sentence that names the file."""
 
 import re
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -129,9 +128,8 @@ def mutated(content: bytes, steps: list[tuple[str, float, float, bytes]]) -> byt
     return content
 
 
-def fuzz(reader: str, examples: int) -> None:
+def fuzz(reader: str, examples: int, folder: Path) -> None:
     name, good, function = READERS[reader]
-    folder = Path(tempfile.mkdtemp(prefix="fuzz-"))
     path, whole = folder / name, good()
     refused = 0
     path.write_bytes(whole)
@@ -161,11 +159,11 @@ def fuzz(reader: str, examples: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("reader", READERS)
-def test_only_input_errors_leave_a_reader(reader: str) -> None:
-    fuzz(reader, FEW)
+def test_only_input_errors_leave_a_reader(reader: str, tmp_path: Path) -> None:
+    fuzz(reader, FEW, tmp_path)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("reader", READERS)
-def test_only_input_errors_leave_a_reader_however_often(reader: str) -> None:
-    fuzz(reader, MANY)
+def test_only_input_errors_leave_a_reader_however_often(reader: str, tmp_path: Path) -> None:
+    fuzz(reader, MANY, tmp_path)

@@ -110,13 +110,6 @@ def test_poses_of_a_known_scene_are_found_with_every_camera(monkeypatch, tmp_pat
     assert np.isfinite(found.poses.covariance).all()
 
 
-def test_a_run_beside_keeps_its_folder_and_what_a_killed_one_left_is_removed(tmp_path):
-    (tmp_path / "colmap.dead/mapper").mkdir(parents=True)
-    with sfm._own_folder(tmp_path) as first, sfm._own_folder(tmp_path) as second:
-        assert first != second and first.parent.is_dir() and not (tmp_path / "colmap.dead").exists()
-    assert list(tmp_path.iterdir()) == []
-
-
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_poses(monkeypatch, tmp_path):
     camera, _ = scene_camera("scaramuzza", (800, 600), 0, 200.0)

@@ -75,6 +75,13 @@ def test_commands_written_in_the_documents_exist() -> None:
         assert given <= known, f"{call}: {given - known}"
 
 
+def test_tests_leave_no_folders_behind() -> None:
+    """Pytest removes those of `tmp_path`, a TemporaryDirectory goes by itself; a folder of `mkdtemp` stays."""
+    own = pathlib.Path(__file__)
+    leaving = [path.name for path in sorted(own.parent.rglob("*.py")) if path != own and "mkdtemp" in path.read_text()]
+    assert leaving == []
+
+
 def test_every_link_in_the_documents_leads_somewhere() -> None:
     links = 0
     for path in DOCUMENTS:

@@ -7,6 +7,7 @@ read_text(path)                            # no pipe, no device, no end of memor
 import contextlib
 import os
 import re
+import shutil
 import stat
 import tempfile
 from collections.abc import Callable, Iterator
@@ -21,7 +22,8 @@ with contextlib.suppress(ImportError):  # on Windows, where a file that is open 
 
 MOST_BYTES = 1 << 34
 """Of a file that is read as a whole."""
-_TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
+TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
+"""Names of what is being written, or was when a process was killed."""
 
 moment: Callable[[str, Path], None] | None = None
 """For tests, which end the process there: called with `before`, `inside`, `written` and `after`, and the file being written."""
@@ -110,7 +112,7 @@ def _sweep(folder: Path) -> None:
         return
     _swept.add(where)
     with os.scandir(where) as entries:
-        left = [entry.path for entry in entries if _TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False)]
+        left = [entry.path for entry in entries if TEMPORARY.fullmatch(entry.name) and entry.is_file(follow_symlinks=False)]
     for path in left:
         with contextlib.suppress(OSError), open(path, "rb") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -204,3 +206,30 @@ def locked(folder: Path, wait: bool = False) -> Iterator[None]:
         yield
     finally:
         os.close(handle)
+
+
+@contextlib.contextmanager
+def own_folder(parent: Path, prefix: str, suffix: str = "") -> Iterator[Path]:
+    """A new folder of this process, gone at the end; those of such names that processes which are gone have left are removed.
+
+    Raises OSError where none can be made.
+    """
+    for left in [path for path in parent.glob(f"{prefix}????????{suffix}") if path.is_dir() and not path.is_symlink()]:
+        with contextlib.suppress(OSError), locked(left):
+            shutil.rmtree(left)
+    with contextlib.ExitStack() as held:
+        while True:
+            folder = Path(tempfile.mkdtemp(prefix=prefix, suffix=suffix, dir=parent))
+            try:
+                held.enter_context(locked(folder))
+            except (BlockingIOError, FileNotFoundError):  # another process takes it for a left one
+                continue
+            except OSError:  # file systems without locks
+                break
+            # Another process may have removed it before it was locked.
+            if folder.is_dir():
+                break
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)

@@ -9,13 +9,13 @@ from pathlib import Path, PurePosixPath
 from calib_patterns import DetectionOptions
 from camera_models import InputError
 from omnilines.commands.result import CommandResult
-from omnilines.files import find_photos, write_png
-from omnilines.files.folders import WORK, check_results, check_work_folder, way_out
+from omnilines.files import PhotoRef, find_photos, write_png
+from omnilines.files.folders import WORK, alone_in, check_results, check_work_folder, way_out
 from omnilines.files.frames import TABLE
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed, withdrawn_where_refused
 from omnilines.files.split import Split
-from omnilines.files.videos import find_videos
+from omnilines.files.videos import find_videos, open_videos
 from omnilines.footage.options import FrameOptions
 from omnilines.pipelines.chosen_frames import ChosenFrames
 from omnilines.pipelines.frames import frames as pipeline
@@ -82,10 +82,13 @@ def with_frames(
     if not find_videos(paths):
         if split is None:
             return command(list(paths))
-        with withdrawn_where_refused(folder):
-            _cut(paths, folder, Split.of(split), progress)
+        lenses, photos = Split.of(split), find_photos(paths)
+        with withdrawn_where_refused(folder), alone_in(out / WORK):
+            _cut(paths, photos, folder, lenses, progress)
             return command([folder])
-    with withdrawn_where_refused(folder):
+    open_videos(paths)  # refused before anything is made
+    # Another run would put its frames in the place of those that are about to be read.
+    with withdrawn_where_refused(folder), alone_in(out / WORK):
         made = frames(
             paths,
             folder,
@@ -106,9 +109,8 @@ def with_frames(
     return replace(result, warnings=(note, *of_frames, *result.warnings))
 
 
-def _cut(paths: Sequence[Path], folder: Path, split: Split, progress: ProgressCallback) -> None:
+def _cut(paths: Sequence[Path], photos: Sequence[PhotoRef], folder: Path, split: Split, progress: ProgressCallback) -> None:
     """Write what each lens sees of photos into a folder for each."""
-    photos = find_photos(paths)
     require_distinct_stems(photos)
     names = {photo.name: str(PurePosixPath(photo.name).with_suffix(".png")) for photo in photos}
     results = [f"{lens}/{name}" for lens in split.names for name in names.values()]

@@ -1,14 +1,15 @@
 """Folders that results are written to, and what may be written there."""
 
+import contextlib
 import json
 import os
 import tempfile
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from camera_models import InputError
-from camera_models.formats.disk import MANIFEST, MOVING, read_text, write_atomically
+from camera_models.formats.disk import MANIFEST, MOVING, TEMPORARY, locked, read_text, write_atomically
 from omnilines.files.photos import PHOTO_SUFFIXES
 
 
@@ -37,7 +38,9 @@ def check_output_folder(out: str | Path) -> None:
         why = "cannot be written to" if there.is_dir() else "is no folder"
         raise InputError(f"A folder to write to was expected at {out}, found that {there} {why}; name another.")
     try:  # to root every folder seems writable: /proc, what is mounted from elsewhere
-        Path(tempfile.mkdtemp(prefix=".omnilines.", suffix=".part", dir=there)).rmdir()
+        made = Path(tempfile.mkdtemp(prefix=".omnilines.", suffix=".part", dir=there))
+        with contextlib.suppress(FileNotFoundError):  # another run removes what it takes for left behind
+            made.rmdir()
     except OSError as error:
         raise InputError(
             f"A folder to write to was expected at {out}, found that none can be made in {there} ({error.strerror}); name "
@@ -105,7 +108,8 @@ def way_out(folder: Path, name: str) -> str | None:
         step = step / part
         if step.is_symlink() or step.is_mount():
             return f"that {step} is a link out of it; give another `out`"
-        if step.exists() and not (step.is_dir() and os.access(step, os.W_OK)):
+        # Asked in this order, since another run may remove a folder of its own that is empty.
+        if not (step.is_dir() and os.access(step, os.W_OK)) and os.path.lexists(step):
             return f"that {step} is no folder that can be written to; give another `out`"
     return None
 
@@ -133,7 +137,9 @@ def _check_result(folder: Path, name: str, own: Collection[str], inputs: Sequenc
 def check_work_folder(work: Path, inputs: Iterable[str | Path] = ()) -> None:
     """Refuse a folder for what a run keeps that is not one, or that the run reads from. Raises InputError; nothing is made."""
     check_output_folder(work)
-    if work.is_symlink() or (work.exists() and any(work.iterdir()) and not (work / MANIFEST).is_file()):
+    # Another run may be making it, or was killed while it did.
+    holds = work.exists() and any(not TEMPORARY.fullmatch(entry.name) for entry in work.iterdir())
+    if work.is_symlink() or (holds and not (work / MANIFEST).is_file()):
         raise InputError(
             f"What is found is kept in {work}, found a folder there that is not of an earlier run (it holds no {MANIFEST}); give "
             "another `out`, or rename it."
@@ -151,3 +157,21 @@ def work_folder(work: str | Path) -> Path:
     if not (folder / MANIFEST).is_file():
         write_list(folder, {})
     return folder
+
+
+@contextlib.contextmanager
+def alone_in(work: str | Path) -> Iterator[None]:
+    """Within it no other run that asks for that is at work in the folder for what runs keep, which is made. Raises InputError
+    where one is, and as `work_folder` does."""
+    folder = work_folder(work)
+    with contextlib.ExitStack() as held:
+        try:
+            held.enter_context(locked(folder))
+        except BlockingIOError:
+            raise InputError(
+                f"{folder.parent} was expected to be written to by one run at a time, found another one that is taking frames "
+                "there; wait for its end, or give another `out`."
+            ) from None
+        except OSError:  # file systems without locks
+            pass
+        yield

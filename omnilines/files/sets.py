@@ -11,9 +11,7 @@ there goes on with it (`settle`); until then who reads a file that still waits t
 
 import contextlib
 import os
-import re
 import shutil
-import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
@@ -22,11 +20,10 @@ from pathlib import Path
 from camera_models import InputError
 from camera_models.errors import OmnilinesError
 from camera_models.formats import disk
-from camera_models.formats.disk import MANIFEST, MOVING, locked
+from camera_models.formats.disk import MANIFEST, MOVING, locked, own_folder
 from omnilines.files.fingerprint import content_hash
 from omnilines.files.folders import OF_PAGE, Written, check_results, way_out, write_list, written
 
-_STAGED = re.compile(r"\.omnilines\.[a-z0-9_]{8}\.part")
 _removed: ContextVar[list[Path] | None] = ContextVar("_removed", default=None)
 
 
@@ -171,19 +168,11 @@ def _remove(folder: Path, name: str, sha256: str) -> bool:
 
 @contextmanager
 def _stage(folder: Path) -> Iterator[Path]:
-    """A hidden folder, locked as long as this process lives, and gone at the end; those of dead processes are removed."""
-    with _told(folder):
-        for left in [path for path in folder.iterdir() if _STAGED.fullmatch(path.name) and path.is_dir()]:
-            with contextlib.suppress(OSError), locked(left):
-                shutil.rmtree(left)
-        stage = Path(tempfile.mkdtemp(prefix=".omnilines.", suffix=".part", dir=folder))
-    try:
-        with contextlib.ExitStack() as held:
-            with contextlib.suppress(OSError):  # file systems without locks
-                held.enter_context(locked(stage))
-            yield stage
-    finally:
-        shutil.rmtree(stage, ignore_errors=True)
+    """A hidden folder."""
+    with contextlib.ExitStack() as held:
+        with _told(folder):
+            stage = held.enter_context(own_folder(folder, ".omnilines.", ".part"))
+        yield stage
 
 
 @contextmanager

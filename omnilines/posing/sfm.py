@@ -4,10 +4,7 @@ features as bearings (features.py) -> matches (feature_matches.py) -> COLMAP on 
 matches, resection of what COLMAP could not place, and a last adjustment of all poses with all bearings (growth.py).
 """
 
-import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import Calibration, CameraModel, GeometryError
-from camera_models.formats.disk import locked
+from camera_models.formats.disk import own_folder
 from camera_models.pose import Pose, adjoint
 from omnilines.posing._pycolmap import pycolmap
 from omnilines.posing.carried_along import carried_share, without_carried
@@ -105,8 +102,9 @@ def _joined(
     matches, and what is to be said of them. Raises GeometryError where there is none either way."""
 
     def mapped(clear: PairMatches) -> list[dict[int, Pose]]:
-        with _own_folder(work) as folder:
-            return map_photos(replace(given, matches=clear), folder, seed, progress, options)
+        work.mkdir(parents=True, exist_ok=True)
+        with own_folder(work, "colmap.") as folder:
+            return map_photos(replace(given, matches=clear), folder / "mapper", seed, progress, options)
 
     parts = mapped(matches.clear)
     if parts:
@@ -117,23 +115,6 @@ def _joined(
     if not parts:
         raise GeometryError(_not_joined(given.features, matches, without, seed, options))
     return parts, without, (LEFT_OUT,)
-
-
-@contextmanager
-def _own_folder(work: Path) -> Iterator[Path]:
-    """A folder for COLMAP, gone at the end: another run may be at work beside. Those of runs that were killed are removed."""
-    work.mkdir(parents=True, exist_ok=True)
-    for left in work.glob("colmap.*"):
-        with suppress(OSError), locked(left):
-            shutil.rmtree(left)
-    folder = Path(tempfile.mkdtemp(prefix="colmap.", dir=work))
-    try:
-        with ExitStack() as held:
-            with suppress(OSError):  # file systems without locks
-                held.enter_context(locked(folder))
-            yield folder / "mapper"
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _features(

@@ -81,9 +81,15 @@ def table(path: Path, header: tuple[str, ...], rows: list[list[object]]) -> None
 
 
 @functools.cache
+def _place() -> tempfile.TemporaryDirectory[str]:
+    """Gone when this process ends."""
+    return tempfile.TemporaryDirectory(prefix="hostile-good-", ignore_cleanup_errors=True)
+
+
+@functools.cache
 def store() -> Path:
     """The folder of all good inputs of this process."""
-    folder = Path(tempfile.mkdtemp(prefix="hostile-good-"))
+    folder = Path(_place().name)
     for kind, (name, own, models) in FILES.items():
         cameras = {f"cam{index}": model for index, model in enumerate(models)}
         poses = [pose_of((0.0, 0.1 * index, 0.0), (0.1 * index, 0.0, 0.0)) for index in range(len(models))]
