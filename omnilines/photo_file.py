@@ -51,7 +51,19 @@ def read_photo(path: str | Path) -> UInt[np.ndarray, "h w *channels"]:
 
 def decoded_photo(content: bytes, name: str) -> UInt[np.ndarray, "h w *channels"]:
     """As `read_photo`, of the content of a file; errors say its name."""
+    if is_tiff(content) and may_be_transparent(content):
+        return _of_transparent_tiff(_decoded(content, name, cv2.IMREAD_UNCHANGED))
     return _decoded(content, name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR)
+
+
+def _of_transparent_tiff(pixels: UInt[np.ndarray, "h w 4"]) -> UInt[np.ndarray, "h w 3"]:
+    """The colours alone. libtiff multiplies those of 8 bits by their opacity; where that is zero they are lost."""
+    colours = pixels[..., :3]
+    if pixels.dtype != np.uint8:
+        return np.ascontiguousarray(colours)
+    opacity, colour = np.ogrid[:256, :256]
+    table = np.where(opacity > 0, np.rint(colour * (255 / np.maximum(opacity, 1))), 0).clip(0, 255).astype(np.uint8)
+    return table[pixels[..., 3:], colours]
 
 
 @typed

@@ -12,6 +12,8 @@ _FILLING = re.compile(rb"\xff*")
 _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF, _BIG_TIFF = (b"II*\0", b"MM\0*"), (b"II+\0", b"MM\0+")
 _WIDTH_TAG, _HEIGHT_TAG, _COLOURS_TAG, _ORIENTATION_TAG, _SAMPLES_TAG, _PLANES_TAG, _EXTRA_TAG = 256, 257, 262, 274, 277, 284, 338
+_KIND_TAG, _OF_ANOTHER = 254, 0b101
+"""NewSubfileType of TIFF 6.0, and its bits of a page that is a smaller version, or a mask, of another."""
 _RGB, _IN_PLANES, _ALPHA = 2, 2, (1, 2)
 """Values of the tags of TIFF 6.0: PhotometricInterpretation, PlanarConfiguration, and those of ExtraSamples that are opacity."""
 MOST_SEGMENTS = 100_000
@@ -74,6 +76,26 @@ def in_planes(data: bytes) -> bool:
     """Whether a TIFF holds one colour after the other, not pixel after pixel."""
     tags = tiff_tags(data)
     return tags.get(_PLANES_TAG) == _IN_PLANES and tags.get(_SAMPLES_TAG, 1) > 1
+
+
+def is_animated(data: bytes) -> bool:
+    """Whether the beginning of a PNG or WebP says so."""
+    if data.startswith(_PNG):
+        return b"acTL" in data.partition(b"IDAT")[0]
+    return is_webp(data) and data[12:16] == b"VP8X" and len(data) > 20 and bool(data[20] & 0x02)
+
+
+def next_page(data: bytes) -> int | None:
+    """Where in a TIFF the tags of its second page stand, by what stands behind those of the first; None where there is none."""
+    try:
+        return _next_page(data) or None if is_tiff(data) else None
+    except struct.error:  # cut short
+        return None
+
+
+def is_picture_of_its_own(data: bytes) -> bool:
+    """Whether the first page of a TIFF is no smaller version of another one, nor a mask of it."""
+    return not tiff_tags(data).get(_KIND_TAG, 0) & _OF_ANOTHER
 
 
 def is_tiff(data: bytes) -> bool:
@@ -145,6 +167,16 @@ def _tags(tiff: bytes) -> dict[int, int]:
             (found[tag],) = struct.unpack_from(order + form, tiff, place + (12 if big else 8))
         place += entry
     return found
+
+
+def _next_page(tiff: bytes) -> int:
+    """Where the next directory begins, 0 where there is none; raises struct.error where the first is cut short."""
+    place, order, big = _place_of_tags(tiff)
+    (entries,) = struct.unpack_from(order + ("Q" if big else "H"), tiff, place)
+    (following,) = struct.unpack_from(
+        order + ("Q" if big else "I"), tiff, place + (8 + 20 * entries if big else 2 + 12 * entries)
+    )
+    return int(following)
 
 
 def _place_of_tags(tiff: bytes) -> tuple[int, str, bool]:

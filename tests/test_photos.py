@@ -1,5 +1,6 @@
 """Photos are found in natural order under the names that tables use, and read upright; bad ones are named, quietly."""
 
+import json
 import os
 import struct
 import subprocess
@@ -12,13 +13,16 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 import calib_patterns
 import omnilines as ol
-from camera_models import OpenCVFisheye
+from camera_models import Calibration, OpenCVFisheye
 from camera_models.errors import InputError
+from omnilines import cli
 from omnilines.files import PHOTO_SUFFIXES, find_photos, of_one_range, photos_of, read_photo
 from omnilines.files.orientation import turned_otherwise
+from omnilines.files.passed_over import passed_over
 
 
 def touch(folder: Path, *names: str) -> None:
@@ -305,3 +309,58 @@ def test_photos_of_phones_are_named_as_what_they_are(tmp_path: Path) -> None:
     (photo,) = find_photos([tmp_path])
     with pytest.raises(InputError, match=r"IMG_2\.jpg is HEIC or AVIF, whatever its name says, which is not read; convert it"):
         photo.read()
+
+
+def test_what_is_passed_over_beside_photos_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Photos of phones and raw files beside others, but for those with a JPEG of the same picture; pages behind the first."""
+    touch(tmp_path, "in/IMG_1.HEIC", "in/more/IMG_2.heic", "in/3.CR2")
+    picture = Image.fromarray(np.full((48, 64), 90, dtype=np.uint8))
+    picture.save(tmp_path / "in/3.jpg")
+    for name in ("in/4.tif", "in/5.png", "in/6.webp"):
+        picture.save(tmp_path / name, save_all=True, append_images=[picture.rotate(180), picture.point(lambda grey: 255 - grey)])
+    with passed_over() as beside:
+        assert found(tmp_path / "in") == ["3.jpg", "4.tif", "5.png", "6.webp"]
+    heic, pages = beside.notes
+    assert heic == (
+        "2 files, such as IMG_1.HEIC, are of a format that is not read, and passed over: convert to JPEG what should count."
+    )
+    assert pages.startswith("3 files, such as 4.tif, are of several pages, of which the first alone is looked at")
+    calibration, out = tmp_path / "c.yaml", tmp_path / "views"
+    ol.save(calibration, Calibration({"cam0": OpenCVFisheye([30.0, 30.0, 31.5, 23.5, 0.0, 0.0, 0.0, 0.0], (64, 48))}))
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["rectify", str(tmp_path / "in"), "--calibration", str(calibration), "--out", str(out), "--json"])
+    assert not ended.value.code and {heic, pages} <= set(json.loads(capsys.readouterr().out)["notes"])
+
+
+def test_one_page_is_said_to_be_one(tmp_path: Path) -> None:
+    """Also where a TIFF holds a small version of its picture too, as cameras write it."""
+    picture = Image.fromarray(np.full((48, 64), 90, dtype=np.uint8))
+    for name in ("1.tif", "2.png", "3.webp"):
+        picture.save(tmp_path / name)
+    small = picture.resize((16, 12))
+    small.encoderinfo = {"tiffinfo": {254: 1}}
+    picture.save(tmp_path / "4.tif", save_all=True, append_images=[small])
+    (tmp_path / "5.tif").write_bytes(b"II*\0\xff\xff\xff\xff")
+    with Image.open(tmp_path / "4.tif") as pages, passed_over() as beside:
+        assert pages.n_frames == 2
+        assert len(found(tmp_path)) == 5 and beside.notes == ()
+
+
+@pytest.mark.parametrize("kind", [1, 2])
+def test_transparency_of_a_tiff_leaves_its_colours(kind: int, tmp_path: Path) -> None:
+    """libtiff multiplies colours by their opacity (ExtraSamples 2), or they are stored so (1): a fading rim was an edge."""
+    colours = np.random.default_rng(0).integers(0, 256, (32, 64, 3), dtype=np.uint8)
+    opacity = np.broadcast_to(np.arange(1, 65, dtype=np.uint8) * 4 - 1, (32, 64))
+    stored = colours if kind == 2 else np.rint(colours * (opacity[..., None] / 255)).astype(np.uint8)
+    picture = Image.fromarray(np.dstack([stored, opacity]), "RGBA")
+    picture.save(tmp_path / "a.tif")
+    stated = struct.pack("<HHIH", 338, 3, 1, 2)
+    content = (tmp_path / "a.tif").read_bytes()
+    assert content.count(stated) == 1
+    (tmp_path / "a.tif").write_bytes(content.replace(stated, struct.pack("<HHIH", 338, 3, 1, kind)))
+    with Image.open(tmp_path / "a.tif") as file:
+        assert file.tag_v2[338] == (kind,)
+    off = np.abs(read_photo(tmp_path / "a.tif")[..., ::-1].astype(float) - colours)
+    # One level of what is stored, and its rounding.
+    assert (off <= 255 / opacity[..., None] + 0.5).all() and off[:, -1].max() <= 1

@@ -119,13 +119,14 @@ def run(
     say_when_stopped(lambda: anew if kept is None or not kept.is_dir() else printable(goes_on))
     if (note := note_on_cache()) is not None:
         typer.echo(f"note: {note}", err=True)
+    from omnilines.files.passed_over import passed_over
     from omnilines.files.sets import removals
 
-    with progress() as tell, spelled_as(flag_of), removals() as removed:
+    with progress() as tell, spelled_as(flag_of), removals() as removed, passed_over() as beside:
         result = command(tell)
         if plots is not None:
             result = with_plots(result, plots, tell)
-    result = replace(result, warnings=(*result.warnings, *_of_removed(removed)))
+    result = replace(result, warnings=(*result.warnings, *beside.notes, *_of_removed(removed)))
     whole = "--json" if result.report is None else result.report.name
     with said_in_full():
         for note in (*result.warnings, *told(result.details, result.photos, whole)):

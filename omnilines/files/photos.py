@@ -16,6 +16,7 @@ from camera_models.errors import InputError
 from camera_models.formats.disk import read_bytes, require_in_place, write_atomically
 from camera_models.formats.values import is_text, stray
 from camera_models.typed import typed
+from omnilines.files.passed_over import look_beside
 from omnilines.machine import available_bytes
 from omnilines.photo_file import MOST_PIXELS, levels_of, read_photo, start_of_photo, stretched
 from omnilines.photo_size import may_have_16_bits, size_of_photo
@@ -174,8 +175,8 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
             found[os.path.abspath(path)] = None
     if not found:
         named = " ".join(map(str, paths)) or "an empty list of paths"
-        other = next((name for path in map(Path, paths) for name in _unread_in(path)), None)
-        convert = "" if other is None else f"; {other} is of a format that is not read: convert it to JPEG"
+        other = next(iter(_unread_in(paths)), None)
+        convert = "" if other is None else f"; {Path(other).name} is of a format that is not read: convert it to JPEG"
         raise InputError(f"No image found in {named}; expected files ending in {' '.join(PHOTO_SUFFIXES)}{convert}.")
     root = os.path.commonpath(folders)
     photos = [PhotoRef(Path(path), Path(os.path.relpath(path, root)).as_posix()) for path in found]
@@ -184,15 +185,17 @@ def find_photos(paths: Sequence[str | Path]) -> list[PhotoRef]:
         # Control characters, and bytes that are not UTF-8: tables could not hold them.
         if not is_text(photo.name):
             raise InputError(f"The name of the image {photo.name!r} holds characters that are not text; rename it.")
-    return sorted(photos, key=lambda photo: _natural(photo.name))
+    photos.sort(key=lambda photo: _natural(photo.name))
+    look_beside([photo.path for photo in photos], map(Path, _unread_in(paths)))
+    return photos
 
 
-def _unread_in(folder: Path) -> list[str]:
-    """Names of photos right in a folder that have to be converted."""
-    return [path.name for path in sorted(folder.iterdir()) if path.suffix.lower() in UNREAD_SUFFIXES] if folder.is_dir() else []
+def _unread_in(paths: Sequence[str | Path]) -> list[str]:
+    """Photos in folders that have to be converted."""
+    return [file for path in map(Path, paths) if path.is_dir() for file in sorted(_photos_in(path, UNREAD_SUFFIXES))]
 
 
-def _photos_in(folder: Path) -> Iterator[str]:
+def _photos_in(folder: Path, suffixes: tuple[str, ...] = PHOTO_SUFFIXES) -> Iterator[str]:
     root = os.path.realpath(folder)
     linked: set[str] = set()
 
@@ -210,9 +213,7 @@ def _photos_in(folder: Path) -> Iterator[str]:
 
     for parent, folders, files in os.walk(os.path.abspath(folder), onerror=refuse, followlinks=True):
         folders[:] = [name for name in sorted(folders) if not name.startswith(".") and is_new(os.path.join(parent, name))]
-        yield from (
-            os.path.join(parent, name) for name in files if name.lower().endswith(PHOTO_SUFFIXES) and not name.startswith(".")
-        )
+        yield from (os.path.join(parent, name) for name in files if name.lower().endswith(suffixes) and not name.startswith("."))
 
 
 def require_photos(folder: Path, images: Sequence[str]) -> None:

@@ -16,7 +16,8 @@ from camera_models.formats.disk import read_bytes
 from camera_models.formats.values import is_text
 from omnilines.files.bags import is_bag, split_topics, topics_of
 from omnilines.files.footage import Footage, Frame
-from omnilines.files.photos import PHOTO_SUFFIXES
+from omnilines.files.passed_over import look_beside
+from omnilines.files.photos import PHOTO_SUFFIXES, UNREAD_SUFFIXES
 from omnilines.files.topics import Topic
 from omnilines.photo_file import quiet_codecs
 
@@ -116,6 +117,7 @@ def find_videos(paths: Sequence[str | Path]) -> list[Path]:
             videos.append(path)
         elif inside and not any(file.suffix.lower() in PHOTO_SUFFIXES for file in files):
             videos += [video for file in inside for video in (topics_of(file, ()) if is_bag(file) else [file])]
+            look_beside([], (file for file in files if file.suffix.lower() in UNREAD_SUFFIXES))
         else:
             others.append(path)
     if videos and others:
