@@ -1,6 +1,8 @@
 """The law suite: every registered file format, every camera model, every example; adding a format adds no test here."""
 
+import codecs
 import fnmatch
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hostile.good import FILES, store
 
 import camera_models
 from camera_models import MODELS, Calibration, CameraModel, InputError, model_class
@@ -327,6 +330,24 @@ def test_a_failure_leaves_the_file_that_was_there(name: str, tmp_path: Path) -> 
         with pytest.raises(InputError, match=r"must be finite|cannot hold|was expected to hold"):
             target.write(path, Calibration({"cam0": bad.with_parameters(bad.parameters * float("nan"))}))
     assert path.read_text() == "precious" and [part.name for part in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("kind", [kind for kind, (name, _, _) in FILES.items() if not name.endswith(".bin")])
+def test_a_byte_order_mark_changes_nothing(kind: str, tmp_path: Path) -> None:
+    """Editors of Windows write one."""
+    name, own, models = FILES[kind]
+    (tmp_path / name).write_bytes(codecs.BOM_UTF8 + (store() / kind / name).read_bytes())
+    assert type(format_of_file(tmp_path / name)) is type(format_named(own))
+    assert len(read(tmp_path / name).calibration) == len(models)
+
+
+@pytest.mark.parametrize("kind", ["omnilines", "kalibr", "ros", "basalt", "anipose"])
+def test_a_number_of_thousands_of_digits_is_called_that(kind: str, tmp_path: Path) -> None:
+    name = FILES[kind][0]
+    text = (store() / kind / name).read_text()
+    (tmp_path / name).write_text(re.sub(r"(?<![\d.])646(?=\D)", "9" * 5000, text, count=1))
+    with pytest.raises(InputError, match="numbers within reason, found one of thousands of digits; restore it"):
+        read(tmp_path / name)
 
 
 def test_short_cuts(tmp_path: Path) -> None:

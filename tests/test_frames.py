@@ -291,6 +291,16 @@ def test_telling_instants_are_nearly_the_best(seed: int = 0) -> None:
     assert set(telling_instants([ViewInformation(names, matrix, 3.0 * alike)], instants, 9, 4)) == set(chosen)
 
 
+@pytest.mark.parametrize("count", [1, 5])
+def test_a_short_video_is_not_called_cut_short(count: int, tmp_path: Path) -> None:
+    """The last of a few frames begins well before the end."""
+    film = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"FFV1"), 10.0, (64, 48))
+    for _ in range(count):
+        film.write(np.full((48, 64, 3), 90, dtype=np.uint8))
+    film.release()
+    assert ol.frames(tmp_path / "a.avi").notes == ()
+
+
 @pytest.mark.parametrize("kind", ["text", "cut", "playlist", "empty"])
 def test_what_is_no_video_is_refused(kind: str, video: Path, tmp_path: Path) -> None:
     other = tmp_path / "secret.avi"

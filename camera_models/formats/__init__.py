@@ -6,6 +6,7 @@
 A new format is one module with a `CalibrationFormat` (`formats.contract`) and one line in FORMATS.
 """
 
+import codecs
 import fnmatch
 import importlib
 from pathlib import Path
@@ -122,4 +123,4 @@ def write(path: str | Path, calibration: "Calibration", name: str | None = None)
 
 
 def _head(file: Path) -> str:
-    return read_bytes(file, HEAD).decode("latin-1")
+    return read_bytes(file, HEAD).removeprefix(codecs.BOM_UTF8).decode("latin-1")

@@ -2,6 +2,7 @@
 
 import math
 import re
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,10 @@ def read_yaml(path: str | Path) -> Any:
     except InputError:
         raise
     except (ValueError, RecursionError) as error:
+        if re.search(rf"[0-9_]{{{sys.get_int_max_str_digits()},}}", text):
+            raise InputError(
+                f"{path} was expected to hold numbers within reason, found one of thousands of digits; restore it."
+            ) from None
         raise InputError(f"{path} is not valid YAML ({error}); correct it or restore the file.") from None
     if len(documents) > 1:
         raise InputError(f"{path} was expected to hold one document of YAML, found {len(documents)} set apart by ---; keep one.")

@@ -83,7 +83,8 @@ class Video(Footage):
     def doubts(self, times_s: Float[np.ndarray, " n"]) -> tuple[str, ...]:
         """That it ends before the length it states, or frames in between cannot be decoded."""
         counted = self.path.suffix.lower() in COUNTED_SUFFIXES
-        whole = times_s[-1] >= LEAST_DECODED * self.duration_s and (not counted or len(times_s) >= LEAST_DECODED * self.count)
+        end_s = times_s[-1] + 1.0 / self.frames_per_s
+        whole = end_s >= LEAST_DECODED * self.duration_s and (not counted or len(times_s) >= LEAST_DECODED * self.count)
         if whole:
             return ()
         return (
