@@ -291,6 +291,14 @@ def test_telling_instants_are_nearly_the_best(seed: int = 0) -> None:
     assert set(telling_instants([ViewInformation(names, matrix, 3.0 * alike)], instants, 9, 4)) == set(chosen)
 
 
+@pytest.mark.parametrize("out", ["file", "file/out"])
+def test_a_file_in_the_place_of_the_results_is_named(out: str, video: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(InputError, match=r"A folder to write to was expected at .*file.*, found that .*file is no folder"):
+        with_frames(lambda _: CommandResult((), {}), [video], tmp_path / out)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
 @pytest.mark.parametrize("count", [1, 5])
 def test_a_short_video_is_not_called_cut_short(count: int, tmp_path: Path) -> None:
     """The last of a few frames begins well before the end."""

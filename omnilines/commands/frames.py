@@ -10,7 +10,7 @@ from calib_patterns import DetectionOptions
 from camera_models import InputError
 from omnilines.commands.result import CommandResult
 from omnilines.files import PhotoRef, find_photos, write_png
-from omnilines.files.folders import WORK, alone_in, check_results, check_work_folder, way_out
+from omnilines.files.folders import WORK, alone_in, check_output_folder, check_results, check_work_folder, way_out
 from omnilines.files.frames import TABLE
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed, withdrawn_where_refused
@@ -77,6 +77,7 @@ def with_frames(
     """The result of a command on photos; where videos are given, on their frames, which are written to `out/frames`, and with
     `split` on what each lens sees of the photos, written there too."""
     folder = out / FOLDER
+    check_output_folder(out)
     if (why := way_out(out, f"{FOLDER}/{TABLE}")) is not None:
         raise InputError(f"Frames were expected inside {out}, found {why}.")
     if not find_videos(paths):

@@ -79,13 +79,13 @@ def withdrawn_where_refused(out: str | Path) -> Iterator[None]:
     try:
         yield
     except OmnilinesError:
-        if made:
+        if made and folder.is_dir():
             for name, row in written(folder).items():
                 _remove(folder, name, row.sha256)
             (folder / MANIFEST).unlink(missing_ok=True)
-            for path in made:
-                with contextlib.suppress(OSError):
-                    path.rmdir()
+        for path in made:
+            with contextlib.suppress(OSError):
+                path.rmdir()
         raise
 
 
