@@ -296,6 +296,17 @@ def test_a_scene_without_poses_has_no_frames(folder: Path, tmp_path: Path) -> No
         ol.export(folder, tmp_path / "transforms.json").save()
 
 
+def test_masks_are_not_written_among_the_photos(folder: Path, tmp_path: Path) -> None:
+    """The next run took them for photos."""
+    photos = tmp_path / "photos"
+    for name in ol.read_poses(folder / "poses.csv").images:
+        (photos / name).parent.mkdir(parents=True, exist_ok=True)
+        write_png(photos / name, np.full((240, 320), 90, dtype=np.uint8))
+    with pytest.raises(InputError, match=r"Pictures were expected outside of the photos, found .*masks"):
+        ol.export(folder, photos, to_format="colmap", photos=photos).save()
+    assert not (photos / "masks").exists()
+
+
 def test_colmap_for_splatting_is_read_by_pycolmap(tmp_path: Path) -> None:
     """A fisheye of 200 degrees whose image circle is black outside: native camera, poses, points to begin from, masks."""
     lens = OpenCVFisheye([80.0, 80.5, 159.5, 119.5, 0.01, -0.002, 0.0, 0.0], (320, 240))

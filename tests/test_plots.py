@@ -29,6 +29,23 @@ def test_a_folder_that_is_none_is_refused_before_any_work(tmp_path: Path, capsys
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["calibrate", "--pattern", "checkerboard:8x6:30mm", "--model", "opencv-fisheye"],
+        ["directions", "--calibration", "c.yaml"],
+        ["reconstruct", "--calibration", "c.yaml", "--poses", "sfm"],
+    ],
+)
+def test_figures_are_not_written_among_the_photos(command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The next run took them for photos."""
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    said = refused(capsys, command[0], photos, *command[1:], "--out", tmp_path / "out", "--plots", photos / "figures")
+    assert "Figures were expected outside of the photos" in said and "give another --plots" in said
+    assert not list(photos.iterdir()) and not (tmp_path / "out").exists()
+
+
 @pytest.mark.full
 def test_every_figure_of_a_report_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     given = of_corners(tmp_path)

@@ -104,16 +104,17 @@ def run(
     as_json: bool,
     kept: Path | None = None,
     plots: Path | None = None,
+    photos: Sequence[Path] = (),
 ) -> None:
     """Run a command, print its result, and exit with 1 where a check does not hold.
 
-    `kept` is the folder from which the same command goes on where it was stopped; `plots` is one for the figures of its report.
+    `kept` is the folder from which the same command goes on where it was stopped; `plots` is one for the figures of its report,
+    which may not lie among the `photos`.
     """
     if plots is not None:
-        from omnilines.commands.plots import with_plots
-        from omnilines.files.folders import check_results
+        from omnilines.commands.plots import check_plots, with_plots
 
-        check_results(plots, ())
+        check_plots(plots, photos)
     goes_on = f"stopped; what was found is kept in {kept}, the same command goes on from there."
     anew = "stopped before its results were whole; the same command begins anew."
     say_when_stopped(lambda: anew if kept is None or not kept.is_dir() else printable(goes_on))

@@ -135,7 +135,7 @@ def calibrate(
                 given, out, set_options, frames=frames, detection=detection, lines=lines, executor=executor, progress=progress
             )
 
-    run(command, as_json, kept=None if given.table else out / "work", plots=plots)
+    run(command, as_json, kept=None if given.table else out / "work", plots=plots, photos=photos)
 
 
 @app.command()

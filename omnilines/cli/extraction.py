@@ -90,7 +90,7 @@ def directions(
             photos, out, split=split, progress=progress,
         )  # fmt: skip
 
-    run(found, as_json, kept=out / "work", plots=plots)
+    run(found, as_json, kept=out / "work", plots=plots, photos=photos)
 
 
 def arcs_and_directions(settings: list[str] | None) -> "tuple[ExtractionOptions, DirectionsOptions]":

@@ -176,7 +176,7 @@ def reconstruct(
                 photos or [], out, split=split, progress=progress,
             )  # fmt: skip
 
-    run(reconstructed, as_json, kept=out / "work", plots=plots)
+    run(reconstructed, as_json, kept=out / "work", plots=plots, photos=photos or [])
 
 
 def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any) -> "tuple[ExtractionOptions, SceneOptions]":

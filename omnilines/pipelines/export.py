@@ -78,7 +78,8 @@ class SceneExport:
         beside = (self.photos,) if self.writer.takes_photos else (self.origin,) if self.writer.takes_origin else ()
         if self.writer.parts is not None:
             parts = self.writer.parts(self.scene)
-            with claimed(out, parts, self.read, by=f"export {self.writer.name}") as folder:
+            read = self.read if self.photos is None else (*self.read, self.photos)
+            with claimed(out, parts, read, by=f"export {self.writer.name}") as folder:
                 lost = self.writer.write(folder, self.scene, *beside)
             return tuple(out / name for name in parts if (out / name).is_file()), (*lost, *turned)
         if self.out.is_dir():
