@@ -14,8 +14,9 @@ from omnilines.calibration.refine import CameraAndBoards
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.uncertainty import supported_grid
-from omnilines.calibration.unmodelled import by_decentering
+from omnilines.calibration.unmodelled import Freed, by_decentering
 from omnilines.calibration.views import board_points
+from omnilines.least_squares.groups import Groups
 from omnilines.pages.limits import board_advice
 from omnilines.records import Corners
 
@@ -148,6 +149,30 @@ def test_a_lens_that_is_not_centred_is_told_with_what_it_does_to_the_camera(mode
     assert fit.unmodelled.size == pytest.approx(size, rel=0.2)
     off = off_px(fit, 1.0)
     assert fit.unmodelled.moved_px == pytest.approx(off, rel=0.25) and off > 1.2 * fit.unmodelled.stated_px
+
+
+@pytest.mark.parametrize(("views", "seed"), [(12, 1), (8, 3)])
+def test_a_lens_that_is_far_from_centred_does_not_hide_itself_in_few_views(views: int, seed: int) -> None:
+    """Views pull by what each tells of it, so that pulls differ the more, the more there is of it."""
+    found = calibrate_camera(decentred(seed, 1.0, views), WIDE.image_size, "opencv-fisheye").unmodelled
+    assert found is not None and found.kind == "decentering" and found.chance < 1e-4
+    size = 3 * np.radians(found.reach_deg) ** 2 * float(DECENTRED.norm())
+    assert found.size == pytest.approx(size, rel=0.2)
+
+
+def test_views_that_are_wrong_alike_count_once_where_they_are_told() -> None:
+    """Frames of one run show the board at one place; and views that say nothing of a term say nothing of how certain it is."""
+    rng = np.random.default_rng(0)
+    apart = torch.as_tensor(rng.standard_normal((12, 3, 3)))
+    matrix = apart.mT @ apart
+    gradient = (apart.mT @ torch.as_tensor(rng.standard_normal((12, 3, 1))))[..., 0]
+    single = Freed.of(Groups(matrix, gradient), slice(2, None))
+    often = Groups(matrix.repeat_interleave(5, 0), gradient.repeat_interleave(5, 0))
+    joined = Freed.of(often.joined(torch.arange(12).repeat_interleave(5)), slice(2, None))
+    assert single is not None and joined is not None and joined.chance == pytest.approx(single.chance, rel=1e-9)
+    blind = torch.cat([matrix, torch.zeros_like(matrix)]), torch.cat([gradient, torch.zeros_like(gradient)])
+    more = Freed.of(Groups(*blind), slice(2, None))
+    assert more is not None and more.chance == pytest.approx(single.chance, rel=0.3)
 
 
 def test_a_model_with_terms_of_decentering_is_not_told_to_have_none() -> None:

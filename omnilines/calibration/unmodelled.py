@@ -7,8 +7,12 @@ equations of the camera (c) and the terms. With the camera re-estimated, it pull
 
     u_v = h_sv - S_sc S_cc^-1 h_cv,     U = sum u_v
 
-Where the terms are 0, U is; that it is, is tested by how much the pulls of single views differ (Hotelling's T^2: corners of one
-view count once, however many there are). The terms are then M^-1 U with M = S_ss - S_sc S_cc^-1 S_cs, and the camera moves along.
+and the terms are M^-1 U with M = S_ss - S_sc S_cc^-1 S_cs; the camera moves along. That they are 0 is tested by how they move
+without each view in turn (the jackknife: corners of one view count once, however many there are; Hotelling's T^2). Pulls where
+the terms are 0 differ by what there is of them too, as views tell more or less of it, so that much of it would hide itself.
+Views that tell little of the terms say little of how certain they are: with m_v the share of M that view v adds, sum m_v = 1,
+there are 1 / sum m_v^2 that count (F. Satterthwaite 1946; R. Bell and D. McCaffrey 2002).
+
 Each kind is tested by itself, since one looks a little like the other: what lowers the squared residuals most is said. Of a rig
 (`rig/unmodelled.py`) v are frames, and c is all that is kept: the board is the same for all its cameras.
 
@@ -200,16 +204,22 @@ class Freed:
         scale = within.diagonal().clamp_min(1e-300).rsqrt()
         coupling = total[rest][:, freed]
         follow = scale[:, None] * torch.linalg.solve(scale[:, None] * within * scale, scale[:, None] * coupling)
-        pull = each.gradient[:, freed] - each.gradient[:, rest] @ follow
-        apart = pull - pull.mean(0)
-        scatter = apart.mT @ apart * views / (views - 1)
-        whole = pull.sum(0)
-        statistic = float(whole @ torch.linalg.pinv(scatter, hermitian=True) @ whole) * (views - count) / (count * (views - 1))
         left = total[freed][:, freed] - coupling.mT @ follow
         if not bool((left.diagonal() > LEAST_LEFT * total.diagonal()[freed]).all()):
             return None
+        # A change of the terms with all else that follows.
+        along = total.new_zeros(kept, count)
+        along[freed], along[rest] = torch.eye(count, dtype=total.dtype), -follow
+        whole = (each.gradient @ along).sum(0)
         by = torch.linalg.solve(left, whole)
-        return Freed(by, -follow @ by, float(whole @ by), float(stats.f.sf(statistic, count, views - count)))
+        share = torch.linalg.solve(left, along.mT @ each.matrix @ along).diagonal(dim1=1, dim2=2).mean(1)
+        freedom = 1 / float(share.square().sum()) - count + 1
+        if freedom <= 0:
+            return None
+        scatter = each.jackknife()[freed][:, freed]
+        statistic = float(by @ torch.linalg.pinv(scatter, hermitian=True) @ by) / count
+        chance = float(stats.f.sf(statistic * freedom / (freedom + count - 1), count, freedom))
+        return Freed(by, -follow @ by, float(whole @ by), chance)
 
 
 def unmodelled(

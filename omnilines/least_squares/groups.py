@@ -59,6 +59,15 @@ class Groups:
             add(part.blocks, part.columns, -(y.mT @ y), -(y.mT @ g))
         return Groups(matrix.view(-1, k, k)[:-1], gradient.view(-1, k)[:-1])
 
+    def joined(self, larger: Int[Tensor, " g"]) -> "Groups":
+        """As fewer groups: those of one number together."""
+        numbers, place = torch.unique(larger, return_inverse=True)
+        matrix, gradient = (
+            self.matrix.new_zeros(len(numbers), *self.matrix.shape[1:]),
+            self.gradient.new_zeros(len(numbers), self.gradient.shape[1]),
+        )
+        return Groups(matrix.index_add(0, place, self.matrix), gradient.index_add(0, place, self.gradient))
+
     @cached_property
     def between(self) -> tuple[float, int]:
         """Squares that estimates of each group by itself would save, and their degrees of freedom."""

@@ -81,11 +81,12 @@ def _of_board(kind: Kind, data: RigData, points: RigPoints, state: RigState) -> 
 
 
 def _of_lens(kind: Kind, member: int, data: RigData, points: RigPoints, state: RigState) -> Freed | None:
-    """By the views of one camera, each with a pose of its own."""
+    """By the views of one camera, each with a pose of its own; those of one frame, or run of frames, in which the board hardly
+    moves, are wrong alike and count once."""
     own = points.camera[points.view] == member
     views, place = torch.unique(points.view[own], return_inverse=True)
     board = BoardPoints(place, len(views), points.board_m[own], points.pixels[own])
     problem = LensProblem(OF_LENS[kind], board, data.bases[member], points.weight[own])
     poses = state.cam_from_board(points)[views]
     each = problem.by_views(CameraAndBoards(state.models[member], poses))
-    return Freed.of(each, slice(data.bases[member].shape[1], None))
+    return Freed.of(each.joined(points.frame[views]), slice(data.bases[member].shape[1], None))
