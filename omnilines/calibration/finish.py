@@ -98,7 +98,7 @@ def camera_result(
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
     misfit = _misfit(final, model, residual)
-    notes += () if misfit is None else (misfit.note(model.NAME),)
+    notes += () if misfit is None else (misfit.note(f"{model.NAME} model"),)
     notes += noise_notes(factor, stated, thresholds.noise) + certain.note
     other = None
     if misfit is None and _of_one_drawing(final, state):

@@ -42,10 +42,10 @@ class ModelMisfit:
         worst = int(np.abs(self.outward_px).argmax())
         return f"{self.radii_px[worst]:.0f} to {self.radii_px[worst + 1]:.0f} px from the centre"
 
-    def note(self, model: str) -> str:
-        """One sentence and what follows from it."""
+    def note(self, what: str) -> str:
+        """One sentence and what follows from it; `what` does not follow, as in `pinhole model`."""
         return (
-            f"The {model} model does not follow this lens: all photos agree that corners lie off by up to "
+            f"The {what} does not follow this lens: all photos agree that corners lie off by up to "
             f"{rounded(self.largest_px)} px ({self.where}; F test over {len(self.outward_px)} rings, p = {self.chance:.1g}). "
             "What is stated of parameters and projection is that of a lens which the model follows: the true errors are larger, "
             "and residuals do not tell how large."

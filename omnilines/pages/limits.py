@@ -46,7 +46,7 @@ def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corne
     unused = unused_advice([v for v in fit.views if not v.used], len(fit.views))
     if fit.misfit is not None:
         # Where to hold the board next, and the noise of corners, are figures of a camera that is not this one.
-        return (_of_misfit(fit.model.NAME, fit.misfit, compared), *unused)
+        return (_of_misfit(f"{fit.model.NAME} model", fit.misfit, compared), *unused)
     found = []
     noise = _of_noise(fit.views, fit.board_terms, compared)
     stated_px = None if corners.sigma_px is None else float(np.sqrt(np.mean(corners.sigma_px[fit.kept] ** 2)))
@@ -62,10 +62,10 @@ def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corne
     return (*other, *found, *_standing_out(fit.views), *unused)
 
 
-def _of_misfit(model: str, misfit: ModelMisfit, compared: bool) -> Advice:
+def _of_misfit(what: str, misfit: ModelMisfit, compared: bool) -> Advice:
     """A model that does not follow the lens."""
     off = rounded(misfit.largest_px)
-    limit = f"The {model} model does not follow this lens: corners lie off by up to {off} px in all photos alike."
+    limit = f"The {what} does not follow this lens: corners lie off by up to {off} px in all photos alike."
     if compared:
         do = f"No model that was compared follows it better: rely on it to {off} px at best."
     else:
@@ -182,6 +182,10 @@ def rig_advice(result: RigCalibration, views: dict[str, NextViews]) -> tuple[Adv
     for name, reason in result.left_out.items():
         do = f"Hold a board where {name} and {result.members[0].name} see it at the same instant, in a few frames."
         found.append(Advice(f"Camera {name} is not of the rig: {reason.rstrip('.')}.", do))
+    for member in result.members:
+        if member.misfit is not None:
+            one = _of_misfit(member.follows, member.misfit, bool(member.chosen))
+            found.append(Advice(f"{member.name}: {one.limit}", REFINE if member.held else one.do))
     found += [Advice(note, SEEN_ALONE) for note in result.against_alone.notes]
     if result.unmodelled is not None:
         found.append(Advice(f"{result.unmodelled.limit}.", result.unmodelled.remedy))
@@ -193,6 +197,11 @@ def rig_advice(result: RigCalibration, views: dict[str, NextViews]) -> tuple[Adv
         found.append(Advice(f"{name}: {' '.join(least.limits)}", next_photo(least, f"with {name}, ")))
     return tuple(found)
 
+
+REFINE = (
+    "Leave `hold` out, so that it is refined, or calibrate the camera anew: its zoom or focus may be another, or its model "
+    "may not suit."
+)
 
 SEEN_ALONE = (
     "Calibrate each camera alone and compare. Check that frames of one name are of the same instant, or give videos, by which "

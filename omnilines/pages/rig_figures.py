@@ -12,7 +12,7 @@ from camera_models.pose import Pose
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.rig.links import Link, translation_covariance
 from omnilines.calibration.rig.result import RigCalibration, RigMember
-from omnilines.pages.calibration import calibration_verdict, line_delay_data, unmodelled_data
+from omnilines.pages.calibration import calibration_verdict, line_delay_data, misfit_data, unmodelled_data
 from omnilines.pages.limits import rig_advice
 from omnilines.pages.next_views import SHOOT_NEXT, next_views_data, next_views_summary
 from omnilines.pages.uncertainty_map import UncertaintyMap
@@ -102,7 +102,9 @@ def _verdict(result: RigCalibration) -> str:
             f"{len(result.members)} cameras: where they stand is not known, as {against.rejected} of {against.fitted} views "
             "that fit their camera alone do not fit the rig."
         )
-    doubt = f" But: {against.notes[0]}" if against.notes else ""
+    lost = [member for member in result.members if member.misfit is not None]
+    doubts = [f"the {member.follows} does not follow the lens of {member.name}." for member in lost] + list(against.notes)
+    doubt = f" But: {doubts[0]}" if doubts else ""
     return (
         f"{len(result.members)} cameras: each is known to stand within {figure(1e3 * math.sqrt(max(spread)), '.2g')} mm and "
         f"{figure(math.degrees(math.sqrt(max(turn))), '.2g')} degrees (one standard deviation, {least.name} least).{doubt}"
@@ -210,6 +212,7 @@ def _camera_data(member: RigMember, delays: Sequence[LineDelay]) -> dict[str, An
         "rms_px_per_axis": member.rms_px_per_axis,
         "rms_px_per_point": member.rms_px_per_point,
         "alone_rms_px_per_point": member.alone_rms_px_per_point,
+        "misfit": None if member.misfit is None else misfit_data(member.misfit),
         "min_angle_deg": member.min_angle_deg,
         "max_angle_deg": member.max_angle_deg,
         "cam_from_rig": {

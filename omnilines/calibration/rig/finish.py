@@ -15,6 +15,7 @@ from omnilines.calibration.intervals import SHARE, linear_intervals
 from omnilines.calibration.rig.against_alone import against_alone
 from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.links import Link, links, weakest_link
+from omnilines.calibration.rig.misfits import rig_misfits
 from omnilines.calibration.rig.notes import rig_notes
 from omnilines.calibration.rig.outcome import RigOutcome
 from omnilines.calibration.rig.result import TWIST_NAMES, RigCalibration, RigMember
@@ -50,7 +51,9 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
     members = _members(outcome, covariance, poses, residual, kept)
     used, against = residual[kept], against_alone(outcome, covariance)
     reach_rad = [(math.radians(member.min_angle_deg), math.radians(member.max_angle_deg)) for member in members]
-    other = rig_unmodelled(outcome, covariance, reach_rad)
+    # Where a model does not follow its lens, that pulls at everything else.
+    follow = all(member.misfit is None for member in members)
+    other = rig_unmodelled(outcome, covariance, reach_rad) if follow else None
     left_out = {data.views.cameras[c]: reason for c, reason in outcome.failures.items()}
     return RigCalibration(
         members=members,
@@ -202,7 +205,7 @@ def _members(
     data, state = outcome.data, outcome.solution.state
     corners, found, low = data.views.corners, [], 0
     sigmas = outcome.certain_factor.sigmas(SHARE)
-    free = _free_clocks(data)
+    free, misfits = _free_clocks(data), rig_misfits(outcome)
     clocks = {k: place - len(free) for place, k in enumerate(free)}
     for k, c in enumerate(data.cameras):
         model, name = state.models[k], data.views.cameras[c]
@@ -230,6 +233,7 @@ def _members(
                 time_offset_sigma_s=math.sqrt(float(covariance[clocks[k], clocks[k]])) if k in clocks else None,
                 line_delay=next((found for found in outcome.line_delays if found.camera == name and found.modelled), None),
                 chosen=outcome.alone[c].chosen,
+                misfit=misfits[k],
             )
         )
         low = high

@@ -31,6 +31,7 @@ def rig_notes(
     """What a person should know of a rig, the most important first."""
     notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()]
     notes += [f"Camera {member.name}: {member.chosen}" for member in members if member.chosen]
+    notes += [f"Camera {member.name}: {member.misfit.note(member.follows)}" for member in members if member.misfit is not None]
     notes += against.notes
     offsets = offsets_note(outcome)
     notes += [*(() if offsets is None else (offsets,)), *outcome.clock_notes, *outcome.line_notes]

@@ -11,6 +11,7 @@ from camera_models import CameraModel
 from camera_models.pose import Pose
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.line_delay import LineDelay
+from omnilines.calibration.model_misfit import ModelMisfit
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.against_alone import AgainstAlone
 from omnilines.calibration.rig.links import Link
@@ -50,6 +51,13 @@ class RigMember:
     """Of its rolling shutter; None where that was not estimated."""
     chosen: str = ""
     """Why its model was chosen, one sentence; empty where it was named."""
+    misfit: ModelMisfit | None = None
+    """Where its model does not follow the lens, as its own corners show."""
+
+    @property
+    def follows(self) -> str:
+        """What follows its lens, or does not."""
+        return "given calibration" if self.held else f"{self.model.NAME} model"
 
     @property
     def sigma(self) -> dict[str, float]:

@@ -1,0 +1,47 @@
+"""A camera of a rig whose model, or whose given calibration, does not follow its lens is named, and no other camera is."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from rig_views import pair, setups
+
+from omnilines.calibration.rig.alone import CameraSetup
+from omnilines.calibration.rig.calibrate import calibrate_rig
+from omnilines.calibration.rig.result import RigCalibration
+from omnilines.pages.limits import rig_advice
+
+NOISE_PX = 0.1
+RIG = pair(24, seed=1)
+"""A pinhole camera and a fisheye."""
+CORNERS = RIG.noisy(NOISE_PX, 1)
+
+
+def named(found: RigCalibration) -> list[str]:
+    return [member.name for member in found.members if member.misfit is not None]
+
+
+def test_a_model_that_does_not_follow_the_lens_of_one_camera_is_named() -> None:
+    others = setups(RIG)
+    found = calibrate_rig(CORNERS, others | {"cam1": replace(others["cam1"], model="pinhole", options={})})
+    assert named(found) == ["cam1"] and found.unmodelled is None
+    assert found.notes[0].startswith("Camera cam1: The pinhole model does not follow this lens")
+    (advice,) = [one for one in rig_advice(found, {}) if "does not follow" in one.limit]
+    assert advice.limit.startswith("cam1: ") and advice.do == "Try `model` auto, which compares all."
+
+
+@pytest.mark.parametrize(("bent", "blamed"), [(0.0, []), (0.02, ["cam1"])])
+def test_a_calibration_that_is_held_is_named_where_it_is_of_another_lens(bent: float, blamed: list[str]) -> None:
+    """All intrinsics are held: nothing but the residuals tells. k1 of the fisheye is other than given."""
+    given = list(RIG.models)
+    given[1] = given[1].with_parameters(given[1].parameters + bent * torch.eye(8, dtype=torch.float64)[4])
+    held = {name: CameraSetup(model.image_size, start=model, hold=True) for name, model in zip(RIG.names, given, strict=True)}
+    found = calibrate_rig(CORNERS, held)
+    assert named(found) == blamed
+    advice = " ".join(one.limit + one.do for one in rig_advice(found, {}))
+    assert ("cam1: The given calibration does not follow this lens" in advice) == bool(blamed)
+    assert ("`hold`" in advice) == bool(blamed)
+
+
+def test_models_that_follow_are_not_blamed() -> None:
+    assert named(calibrate_rig(CORNERS, setups(RIG))) == []
