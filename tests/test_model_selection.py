@@ -12,10 +12,10 @@ from ov_plane import IMAGE_SIZE, read_split
 from camera_models import DoubleSphere, InputError, OpenCVFisheye, Pinhole, Scaramuzza
 from camera_models.pose import Pose
 from omnilines.calibration.diagnose import grows_beyond
-from omnilines.calibration.held_out import held_out
+from omnilines.calibration.held_out import HeldOut, held_out
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.result import CameraCalibration
-from omnilines.calibration.select import Candidate, Selection, Trial, all_candidates, fit_boards, select_model
+from omnilines.calibration.select import Candidate, Selection, Trial, _choose, all_candidates, fit_boards, select_model
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import HeldOutThresholds
 from omnilines.calibration.views import board_points
@@ -285,3 +285,22 @@ def test_what_was_not_fitted_says_it_as_the_command_line_does() -> None:
     with spelled_as(lambda name: f"--{name}"):
         ((_, text),) = trial_rows(selection, "views")
     assert text.endswith("found --mirror; use --model scaramuzza.")
+
+
+def test_a_model_that_folds_is_said_to_be_nearer_where_it_is():
+    """A decentred lens of 240 degrees: `unified` alone has terms for it, and folds just beyond the corners."""
+
+    def trial(model: str, px: float, monotone: bool) -> Trial:
+        error = HeldOut(8, torch.full((6,), 50 * px**2, dtype=torch.float64), torch.full((6,), 50.0, dtype=torch.float64))
+        return Trial(Candidate(model, {}), None, monotone=monotone, error=error)
+
+    nearer = [trial("double-sphere", 0.207, True), trial("unified", 0.156, False), trial("extended-unified", 0.414, False)]
+    chosen, reason = _choose(nearer, 6, HeldOutThresholds())
+    assert chosen.candidate.model == "double-sphere"
+    assert "the least error of held-out views of the models that do not fold back, 0.207 px" in reason
+    assert (
+        "unified, extended-unified would fold back just beyond the data, up to where unified predicts views better (0.156 px)."
+        in reason
+    )
+    _, reason = _choose([nearer[0], nearer[2]], 6, HeldOutThresholds())
+    assert "the least error of held-out views, 0.207 px" in reason and reason.endswith("fold back just beyond the data.")

@@ -237,15 +237,20 @@ def _choose(trials: Sequence[Trial], views: int, thresholds: HeldOutThresholds) 
     tied = [trial for trial, error in growing if error.as_good_as(least, thresholds.no_worse_factor)]
     chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
     figures = f"{chosen.held_out_px:.3f} px per point ({views} views, each held out in turn)"
+    folding = [(trial, error.rms_px) for trial, error in sound if not trial.monotone]
+    nearer_px = {trial.candidate.label: px for trial, px in folding if px < least.rms_px}
     if chosen is best:
-        reason = f"{chosen.candidate.label} was taken: it has the least error of held-out views, {figures}"
+        of_which = " of the models that do not fold back" if nearer_px else ""
+        reason = f"{chosen.candidate.label} was taken: it has the least error of held-out views{of_which}, {figures}"
     else:
         reason = (
             f"{chosen.candidate.label} was taken: with a held-out error of {figures} it is as good as the best "
             f"({best.candidate.label}, {best.held_out_px:.3f} px) and has {chosen.parameters} parameters instead of "
             f"{best.parameters}"
         )
-    folding = [trial.candidate.label for trial, _ in sound if not trial.monotone]
     if folding:
-        reason += f"; {', '.join(folding)} would fold back just beyond the data"
+        reason += f"; {', '.join(trial.candidate.label for trial, _ in folding)} would fold back just beyond the data"
+    if nearer_px:
+        nearest = min(nearer_px, key=lambda label: nearer_px[label])
+        reason += f", up to where {nearest} predicts views better ({nearer_px[nearest]:.3f} px)"
     return chosen, reason + "."
