@@ -121,7 +121,7 @@ def test_gauge_columns_are_exact_null_directions(held: tuple[int, ...], columns:
     # Away from the solution too: a common similarity changes no residual anywhere.
     state = state_of(scene, arcs, scene.disturbed(2.0, 0.05))
     problem = LineProblem(arcs, "sector", Freedom(none_held(scene, *held)), state)
-    gauge = problem.gauge(state)
+    gauge = problem.motions(state)
     assert gauge.shape == (problem.structure.kept_size, columns)
     by_kept, by_line = dense_jacobian(problem, state)
     # The lines move along with the poses: J (gauge column, some line step) = 0.
@@ -149,7 +149,7 @@ def test_held_lines_leave_open_what_moves_none_of_them(second: str | None, poses
     held[: 1 if second is None else 2] = True
     state = state_of(scene, arcs)
     problem = LineProblem(arcs, "sector", Freedom(none_held(scene, *poses), held), state)
-    gauge = problem.gauge(state)
+    gauge = problem.motions(state)
     assert gauge.shape[1] == columns
     by_kept, by_line = dense_jacobian(problem, state)
     by_line = by_line.unflatten(1, (-1, 4))[:, ~held].flatten(1)

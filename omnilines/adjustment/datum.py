@@ -35,11 +35,11 @@ def known_of_poses(problem: LineProblem, state: LinesAndPoses) -> Float[Tensor, 
 
 def constraint(problem: LineProblem, state: LinesAndPoses, known: Float[Tensor, "blocks 6 6"] | None) -> Float[Tensor, "k g"]:
     """C: C' dk is how much of each similarity that is open is in a step of the kept parameters."""
-    gauge = problem.gauge(state)
     if known is None:
-        return gauge
-    found, poses = torch.zeros_like(gauge), 6 * len(known)
-    found[:poses] = torch.from_numpy(weighed(gauge[:poses].numpy(), known.numpy()))
+        return problem.gauge(state)
+    motions = problem.motions(state)
+    found, poses = torch.zeros_like(motions), 6 * len(known)
+    found[:poses] = torch.from_numpy(weighed(motions[:poses].numpy(), known.numpy()))
     return found
 
 

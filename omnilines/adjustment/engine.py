@@ -118,14 +118,16 @@ class LineEngine:
         self._add_prior(state, total)
         system = None
         if len(self.problem.free):
-            system = ReducedSystem.of(self.layout.pattern, self.passes.damped(total, damping), self.gauge(state), damping)
+            blocks, sizes = self.passes.damped(total, damping), self.problem.step_sizes(state).numpy()
+            # The same six for every frame, in any order.
+            system = ReducedSystem.of(self.layout.pattern, blocks, self.motions(state), damping, sizes)
         right, own = total.gradient[:, :6].ravel(), total.gradient[:, 6:].ravel()
         return Reduction(solved, system, right, own, total.diagonal.ravel())
 
-    def gauge(self, state: LinesAndPoses) -> Float[np.ndarray, "k g"]:
+    def motions(self, state: LinesAndPoses) -> Float[np.ndarray, "k g"]:
         """B in the order of the engine's frames."""
-        gauge = self.problem.gauge(state).numpy()
-        return gauge.reshape(len(self.problem.free), 6, gauge.shape[1])[self.layout.rank].reshape(gauge.shape)
+        found = self.problem.motions(state).numpy()
+        return found.reshape(len(self.problem.free), 6, found.shape[1])[self.layout.rank].reshape(found.shape)
 
     def poses(self, state: LinesAndPoses) -> Float[np.ndarray, "frames 12"]:
         """R by rows and the centre of every frame, in the engine's order."""

@@ -29,7 +29,7 @@ from omnilines.adjustment.state import LinesAndPoses, moved_poses
 from omnilines.least_squares import Loss, Minimum, Outcome, Progress, Step, minimise
 from omnilines.least_squares.datum import weighed
 from omnilines.least_squares.dense import LEAST_EIGENVALUE
-from omnilines.least_squares.reduced_system import orthonormal
+from omnilines.least_squares.reduced_system import scaled_gauge
 from omnilines.least_squares.separators import SharedStep, SharedSystem, blocks_of
 from omnilines.progress import Each, one_torch_thread
 
@@ -140,10 +140,12 @@ class PartsEngine:
     ) -> tuple[list[PartAt], SharedSystem] | None:
         """Every part at a state, and the system of what they share; None where anything is not determined. The
         frame weighs every free photo by what is `known` of it, and all alike without (`least_squares/datum.py`)."""
-        basis = orthonormal(self.problem.gauge(state).numpy())
-        if basis is None:
+        sizes = self.problem.step_sizes(state).numpy()
+        found = scaled_gauge(self.problem.motions(state).numpy(), sizes)
+        if found is None:
             return None
-        gauge, datum = self._of_frames(basis), self._of_frames(basis if known is None else weighed(basis, known.numpy()))
+        datum = found.datum if known is None else weighed(found.gauge, known.numpy())
+        gauge, datum = self._of_frames(found.gauge), self._of_frames(datum)
         at = self._at(state, damping, gauge, datum)
         reduced = [found for found in self.each(tasks.reduce_part, at) if found is not None]
         if len(reduced) < len(at):
@@ -151,7 +153,8 @@ class PartsEngine:
         shared = torch.from_numpy(self.division.shared)
         touched = [part.shared for part in self._places]
         of_shared = self._rows(gauge, shared), self._rows(datum, shared)
-        system = SharedSystem.of(self.division.pattern, touched, reduced, *of_shared, damping)
+        # The same six for every frame.
+        system = SharedSystem.of(self.division.pattern, touched, reduced, *of_shared, damping, sizes[: 6 * len(shared)])
         return None if system is None else (at, system)
 
     def _of_frames(self, columns: Float[np.ndarray, "k g"]) -> Float[np.ndarray, "f6 g"]:

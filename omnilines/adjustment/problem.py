@@ -185,6 +185,19 @@ class LineProblem:
         return Similarities(origin, unit, open_similarities(origin, unit, centre[fixed], lines, not self._scale_is_free(state)))
 
     def gauge(self, state: LinesAndPoses) -> Float[Tensor, "k g"]:
+        """Columns C of the constraints C' dk = 0: no step is along a similarity that is open, as the steps' sizes measure it."""
+        return self.motions(state) / self.step_sizes(state)[:, None].square()
+
+    def step_sizes(self, state: LinesAndPoses) -> Float[Tensor, " k"]:
+        """The step of each kept parameter that counts as one: a radian and, of what is a length, the size of the scene, so that
+        no solution depends on the unit of length."""
+        lengths = 6 * (len(self.free) + len(self.rig_cameras))
+        turn_and_shift = state.rig_from_world.translation.new_tensor([1.0] * 3 + [self.similarities(state).unit_m] * 3)
+        sizes = turn_and_shift.new_ones(self.structure.kept_size)
+        sizes[:lengths] = turn_and_shift.repeat(lengths // 6)
+        return sizes
+
+    def motions(self, state: LinesAndPoses) -> Float[Tensor, "k g"]:
         """What the similarities that are open do to the kept step."""
         found = self.similarities(state)
         columns = self._of_frames(found.by_step(state.rig_from_world[self.free]))

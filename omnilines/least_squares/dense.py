@@ -45,7 +45,7 @@ class Problem(Protocol[S]):
         ...
 
     def gauge(self, state: S) -> Float[Tensor, "k g"]:
-        """Columns B of the constraints B' dk = 0; none where the observations determine everything."""
+        """Columns C of the constraints C' dk = 0; none where the observations determine everything."""
         ...
 
 
@@ -87,7 +87,7 @@ def _unit_scale(matrix: Tensor) -> Tensor:
 
 
 def constrained_solve(matrix: Float[Tensor, "k k"], gauge: Float[Tensor, "k g"], right: Float[Tensor, " k"]) -> Tensor | None:
-    """x with S x = b on the constraint B' x = 0; None when the system is singular."""
+    """x with S x = b on the constraint C' x = 0; None when the system is singular."""
     scale = _unit_scale(matrix)
     k, g = gauge.shape
     scaled, target = matrix * scale[:, None] * scale, (right * scale)[:, None]

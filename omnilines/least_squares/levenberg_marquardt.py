@@ -1,7 +1,7 @@
 """Levenberg-Marquardt on arrow-structured manifold blocks. It knows no camera and no line.
 
 K. Madsen, H. B. Nielsen, O. Tingleff, Methods for non-linear least squares problems, 2004, with Marquardt's scaling; the gauge
-is fixed by constraints on the kept step, B' dk = 0.
+is fixed by constraints on the kept step, C' dk = 0.
 """
 
 from collections.abc import Callable

@@ -1,13 +1,16 @@
-"""The reduced normal equations S dk = g of many kept blocks, block-sparse, on the constraint B' dk = 0.
+"""The reduced normal equations S dk = g of many kept blocks, block-sparse, on the constraint C' dk = 0.
+
+B are the steps that the residuals do not see. C = D^-2 B with the sizes D of a step of each kept parameter that count as one:
+where some are lengths and others angles, no solution depends on the units.
 
 A band of blocks is factorised as such, which is fastest for cameras along a path; where the pairs fill little of a wide band,
-SuperLU finds an order of its own. Neither takes the constraint's dense rows, so they come afterwards: with Y = S^-1 B
+SuperLU finds an order of its own. Neither takes the constraint's dense rows, so they come afterwards: with Y = S^-1 C
 
-    x = S^-1 g - Y (B'Y)^-1 B' S^-1 g.
+    x = S^-1 g - Y (C'Y)^-1 C' S^-1 g.
 
 Undamped, S is singular along B. As many coordinates as B has columns are then held by a term on their diagonal, which leaves them
-at zero, and x is the solution found minus its part along B, as S B = 0. What that part is may be told by another constraint,
-C' dk = 0 with C'B = I (`datum.py`).
+at zero, and x is the solution found minus its part along B, as S B = 0. What that part is may be told by another C with
+C'B = I (`datum.py`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -113,7 +116,7 @@ def _factor(pattern: PairPattern, blocks: Float[np.ndarray, "blocks d d"]) -> Fa
 
 @dataclass(frozen=True)
 class ReducedSystem:
-    """S by its blocks i <= j, with an orthonormal basis of the gauge B and the factor."""
+    """S by its blocks i <= j, with a basis of the gauge B and the factor."""
 
     pattern: PairPattern
     blocks: Float[np.ndarray, "blocks d d"]
@@ -126,27 +129,33 @@ class ReducedSystem:
 
     @staticmethod
     def of(
-        pattern: PairPattern, blocks: Float[np.ndarray, "blocks d d"], gauge: Float[np.ndarray, "n c"], damping: float
+        pattern: PairPattern,
+        blocks: Float[np.ndarray, "blocks d d"],
+        gauge: Float[np.ndarray, "n c"],
+        damping: float,
+        sizes: Float[np.ndarray, " n"] | None = None,
     ) -> "ReducedSystem | None":
-        """The system with these (damped) blocks; None where it does not determine the kept blocks."""
-        basis = orthonormal(gauge)
-        if basis is None:
+        """The system with these (damped) blocks; `sizes` of steps that count as one, all alike without. None where it does not
+        determine the kept blocks."""
+        found = scaled_gauge(gauge, np.ones(len(gauge)) if sizes is None else sizes)
+        if found is None:
             return None
-        if basis.shape[1] == 0 or damping >= LEAST_DAMPING:
+        free = gauge.shape[1]
+        if free == 0 or damping >= LEAST_DAMPING:
             factor = _factor(pattern, blocks)
             if factor is not None:
-                along = factor.solve(basis) if basis.shape[1] else basis
-                along = np.einsum("ng,gh->nh", along, np.linalg.inv(np.einsum("ng,nh->gh", basis, along)))
-                return ReducedSystem(pattern, blocks, basis, factor, along, basis)
-        if basis.shape[1] == 0:
+                along = factor.solve(found.datum) if free else found.datum
+                along = np.einsum("ng,gh->nh", along, np.linalg.inv(np.einsum("ng,nh->gh", found.datum, along)))
+                return ReducedSystem(pattern, blocks, found.gauge, factor, along, found.datum)
+        if free == 0:
             return None
         held = blocks.copy()
-        _, _, order = scipy.linalg.qr(basis.T, mode="economic", pivoting=True)
-        pins = order[: basis.shape[1]]
+        _, _, order = scipy.linalg.qr(found.basis.T, mode="economic", pivoting=True)
+        pins = order[:free]
         dim = blocks.shape[1]
         held[pattern.diagonal[pins // dim], pins % dim, pins % dim] *= 2.0
         factor = _factor(pattern, held)
-        return None if factor is None else ReducedSystem(pattern, blocks, basis, factor, None, basis)
+        return None if factor is None else ReducedSystem(pattern, blocks, found.gauge, factor, None, found.datum)
 
     def in_datum(self, information: Float[np.ndarray, "kept d d"]) -> "ReducedSystem":
         """The undamped system in the frame that weighs every kept block by what is known of it (`datum.py`)."""
@@ -232,12 +241,33 @@ def _symmetric(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     return 0.5 * (matrix + matrix.T)
 
 
-def orthonormal(gauge: Float[np.ndarray, "n g"]) -> Float[np.ndarray, "n g"] | None:
-    """An orthonormal basis of the columns; None where they are not independent."""
+@dataclass(frozen=True)
+class ScaledGauge:
+    """The gauge in steps that count as one."""
+
+    basis: Float[np.ndarray, "n g"]
+    """Orthonormal, of D^-1 B."""
+    sizes: Float[np.ndarray, " n"]
+    """D."""
+
+    @property
+    def gauge(self) -> Float[np.ndarray, "n g"]:
+        """B."""
+        return self.sizes[:, None] * self.basis
+
+    @property
+    def datum(self) -> Float[np.ndarray, "n g"]:
+        """C = D^-2 B, with C'B = I."""
+        return self.basis / self.sizes[:, None]
+
+
+def scaled_gauge(gauge: Float[np.ndarray, "n g"], sizes: Float[np.ndarray, " n"]) -> ScaledGauge | None:
+    """The columns as `ScaledGauge` has them; None where they are not independent."""
     if gauge.shape[1] == 0:
-        return gauge
-    length = np.linalg.norm(gauge, axis=0)
+        return ScaledGauge(gauge, sizes)
+    scaled = gauge / sizes[:, None]
+    length = np.linalg.norm(scaled, axis=0)
     if gauge.shape[1] > gauge.shape[0] or not (length > 0).all():
         return None
-    basis, triangle = np.linalg.qr(gauge / length)
-    return basis if np.abs(np.diag(triangle)).min() > 1e-12 else None
+    basis, triangle = np.linalg.qr(scaled / length)
+    return ScaledGauge(basis, sizes) if np.abs(np.diag(triangle)).min() > 1e-12 else None

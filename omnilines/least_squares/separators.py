@@ -47,7 +47,7 @@ class SharedStep:
 
 @dataclass(frozen=True)
 class SharedSystem:
-    """T of all parts with the gauge B, which is orthonormal over all blocks, inner and shared."""
+    """T of all parts with the gauge B, a basis over all blocks, inner and shared."""
 
     system: ReducedSystem
     gauge: Float[np.ndarray, "k g"]
@@ -66,9 +66,10 @@ class SharedSystem:
         gauge: Float[np.ndarray, "k g"],
         datum: Float[np.ndarray, "k g"],
         damping: float,
+        sizes: Float[np.ndarray, " k"] | None = None,
     ) -> "SharedSystem | None":
-        """The system of what parts say of the shared blocks that each of them touches, ascending, with B and C of these; None
-        where it does not determine them."""
+        """The system of what parts say of the shared blocks that each of them touches, ascending, with B and C of these; `sizes`
+        as in `ReducedSystem.of`. None where it does not determine them."""
         dim = len(gauge) // pattern.kept
         blocks = np.zeros((len(pattern.row), dim, dim))
         right = np.zeros((pattern.kept, dim, 1 + gauge.shape[1]))
@@ -78,7 +79,7 @@ class SharedSystem:
             information = part.information.reshape(len(own), dim, len(own), dim)
             blocks[blocks_of(pattern, own, i, j)] += information[i, :, j]
             right[own] += part.right.reshape(len(own), dim, -1)
-        system = ReducedSystem.of(pattern, blocks, gauge, damping)
+        system = ReducedSystem.of(pattern, blocks, gauge, damping, sizes)
         if system is None:
             return None
         flat = right.reshape(len(gauge), -1)
