@@ -15,7 +15,7 @@ from camera_models import Calibration, InputError, Pinhole
 from camera_models.pose import Pose
 from omnilines.files import photos_of
 from omnilines.pipelines.judged_photos import doubted_photos, refuse_reading
-from omnilines.pipelines.photo_arcs import FoundArcs
+from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import silent
 from omnilines.records import ImagePoses
@@ -27,7 +27,7 @@ ROBOT = torch.tensor([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], dtyp
 OPTIONS = ol.SceneOptions()
 
 
-def photos(seed: int = 0, noise_px: float = 0.3) -> tuple[list[FoundArcs], ImagePoses]:
+def photos(seed: int = 0, noise_px: float = 0.3, lens: Pinhole = LENS) -> tuple[list[FoundArcs], ImagePoses]:
     """Lines that eight cameras look at, each seen where it lies in the image."""
     rng = np.random.default_rng(seed)
     twists = torch.from_numpy(rng.uniform(-1, 1, (8, 6)) * np.array([0.25, 0.25, 0.5, 0.9, 0.9, 0.5]))
@@ -37,7 +37,7 @@ def photos(seed: int = 0, noise_px: float = 0.3) -> tuple[list[FoundArcs], Image
     refs = photos_of({name: np.zeros((640, 640), dtype=np.uint8) for name in names})
     found = []
     for k, photo in enumerate(refs):
-        pixels, valid = (part.numpy() for part in LENS.project(poses[k].transform(torch.from_numpy(ends))))
+        pixels, valid = (part.numpy() for part in lens.project(poses[k].transform(torch.from_numpy(ends))))
         own = (valid & (pixels >= 0).all(-1) & (pixels <= 639).all(-1)).all(-1)
         pixels = pixels[own] + noise_px * rng.standard_normal((own.sum(), 2, 2))
         found.append(_arcs(photo, pixels, noise_px))
@@ -145,3 +145,60 @@ def test_a_courtyard_by_the_calibration_of_another_zoom_is_doubted(courtyard) ->
     assert "focal length is 0.91 times that of the calibration" in scene.advice[0].limit
     arcs = ol.extract(photos, camera)
     assert not doubted_photos(arcs.photos, PhotoPoses(poses, source="table"), Calibration({"cam0": camera}), 0.0, OPTIONS, silent)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("says", "slip"),
+    [
+        ("to hold tz with the other sign", lambda p: Pose(p.rotation, p.translation * torch.tensor([1.0, 1.0, -1.0]).double())),
+        (
+            "to have slipped by a row: of most photos it is that of the next",
+            lambda p: Pose(*(part.roll(1, 0) for part in parts(p))),
+        ),
+        (
+            "to have slipped by a row: of most photos it is that of the one before",
+            lambda p: Pose(*(part.roll(-1, 0) for part in parts(p))),
+        ),
+        ("to be in reverse", lambda p: Pose(*(part.flip(0) for part in parts(p)))),
+    ],
+)
+def test_slips_in_a_table_of_poses_are_named(says: str, slip) -> None:
+    """They ended in a line or two that agree by chance, or in none."""
+    found, poses = photos()
+    with pytest.raises(InputError, match=f"The poses look {says}"):
+        judge(found, replace(poses, cam_from_world=slip(poses.cam_from_world)))
+
+
+def parts(poses: Pose) -> tuple[torch.Tensor, torch.Tensor]:
+    return poses.rotation, poses.translation
+
+
+@pytest.mark.slow
+def test_photos_with_exchanged_names_are_named() -> None:
+    """They were said to show what no others do, and photos between them were asked for."""
+    found, poses = photos()
+    order = [0, 1, 5, 3, 4, 2, 6, 7]
+    exchanged = replace(poses, cam_from_world=poses.cam_from_world[order])
+    arcs = PhotoArcs(tuple(found), Calibration({"cam0": LENS}), (), {})
+    scene = ol.reconstruct(arcs, exchanged, LENS, OPTIONS)
+    told = [one.limit for one in scene.advice]
+    assert told[0] == "The lines of the other photos put 2.png where 5.png is said to be, 5.png where 2.png is said to be."
+    assert not any("2.png" in one for one in told[1:])
+
+
+EXCHANGED = {"cx": 390.0, "cy": 250.0}, {"cx": 250.0, "cy": 390.0}
+HALF = {}, {"cx": 158.75, "cy": 160.75, "fx": 210.0, "fy": 210.0}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("says", "numbers"),
+    [("whose cx and cy are exchanged", EXCHANGED), ("that was calibrated with photos of half their size", HALF)],
+)
+def test_slips_of_a_calibration_are_named(says: str, numbers: tuple[dict[str, float], dict[str, float]]) -> None:
+    """They ended in lines that agree by chance."""
+    lens, slipped = (Pinhole.from_mapping({**LENS.named_parameters(), **own}, LENS.image_size) for own in numbers)
+    found, poses = photos(lens=lens)
+    with pytest.raises(InputError, match=f"The photos look like those of a camera {says}: "):
+        judge(found, poses, slipped)

@@ -167,8 +167,9 @@ def test_observations_of_other_lines_are_told_with_the_option_that_leaves_them_o
     mixed = replace(segments.rows(keep), track=track[keep])
     plain, robust = (adjust(mixed, poses, LENS, OF_TABLES, robust=asked) for asked in (False, True))
     count = len(plain.adjusted.suspect)
-    told = scene_advice(plain)[0]
-    assert told.limit.startswith(f"{count} of {len(keep)} observations lie farther") and "`robust`" in told.do
+    # They pull so much that the tracks as a whole may be said to be far from their lines before.
+    told = [one for one in scene_advice(plain) if one.limit.startswith(f"{count} of {len(keep)} observations lie farther")]
+    assert len(told) == 1 and "`robust`" in told[0].do
     every = [*scene_advice(robust), *scene_advice(adjust(segments, poses, LENS, OF_TABLES))]
     assert every and not any("`robust`" in one.do for one in every)
 

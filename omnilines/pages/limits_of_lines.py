@@ -41,7 +41,7 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
     """Of lines: whether they are to be trusted, what photos and stages lose, the noise, the scale, weak lines and photos."""
     found = [Advice(f"{check.name[0].upper()}{check.name[1:]}: {figure(check.value, '.3g', check.unit)}, where "
     f"{check.limit:.3g} is "
-                    "the limit.", "Check that poses and calibration are of these photos: the notes say what was tried.")
+                    "the limit.", "Check that poses and calibration are of these photos.")
              for check in scene.checks if not check.holds]  # fmt: skip
     of_photos = scene.from_photos
     found += _skipped(of_photos.skipped, of_photos.given) if of_photos is not None else ()

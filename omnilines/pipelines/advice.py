@@ -1,7 +1,7 @@
 """Photos whose arcs hardly any line explains, and what to do: their poses are wrong, or they see what no other photo does."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,8 @@ class BetterPose:
     turn_rad: float
     distance: float
     explained: float
+    of: str | None = None
+    """The photo whose pose it is, where it is that of another."""
 
 
 def weak_photos(photos: Sequence[PhotoCount], hardly_explained: float) -> list[PhotoCount]:
@@ -47,17 +49,23 @@ def advice(scene: KeptLines, still: float, source: str, options: SceneOptions, p
     """The photos, and the stage, at which most arcs are lost, each with what to do; `still` is the share of arcs that stay
     where they are, `source` that of the poses.
 
-    Where poses are held, another pose near its own is looked for of each weak photo: one that explains far more says that the
-    pose is at fault. With poses refined that was done before.
+    Where poses are held, each weak photo is tried with the poses of the other weak ones, as their names may be exchanged, and
+    another pose near its own is looked for: one that explains far more says that the pose is at fault. With poses refined that
+    was done before.
     """
     weak, refined = weak_photos(scene.photos, options.advice.hardly_explained), "poses" in options.refine
     names = [photo.image for photo in weak[:MOST_LOOKED_AT]]
     stays = still > options.advice.still
     if stays and source != SFM:
         return (*_still(still), *_by_chance(scene, options.advice))
+    carried = _carried_along(still) if stays else ()
+    if not scene.matched.beyond_chance:
+        # What agrees by chance tells nothing of single photos.
+        return carried
     better = {} if refined else _better_poses(scene, names, options, progress)
     return (
-        *(_carried_along(still) if stays else ()),
+        *carried,
+        *_exchanged(weak, better),
         *_wrong_poses(scene, weak, better),
         *_apart(scene, weak, better, refined),
         *_whole(scene, refined, options.min_views, options.advice),
@@ -96,10 +104,31 @@ def _better_poses(
         progress("looking into weak photos", done, len(names))
         row = poses.images.index(name)
         others = lines_of_others(known, arcs, matched.tracks, np.array([row]))
-        better = _better_pose(arcs.of_photo(row), others, options.advice.start_rad, options.matching)
+        of_others = {other: poses.cam_from_world[[poses.images.index(other)]] for other in names if other != name}
+        better = _pose_of_another(arcs.of_photo(row), others, of_others, options.matching)
+        if better is None:
+            better = _better_pose(arcs.of_photo(row), others, options.advice.start_rad, options.matching)
         if better is not None:
             found[name] = better
     return found
+
+
+def _pose_of_another(
+    arcs: ViewedArcs, known: KnownLines, poses: Mapping[str, Pose], matching: MatchingOptions
+) -> BetterPose | None:
+    """Which of the poses of other photos explains far more of the one photo of `arcs` than its own; None where none does."""
+    its, own = matching.placing, explained_by_lines(arcs, known, matching).score
+    score = {name: explained_by_lines(arcs.with_poses(pose), known, matching).score for name, pose in poses.items()}
+    best = max(score, key=lambda name: score[name], default=None)
+    if best is None or score[best] < max(its.min_score, its.above_chance * own):
+        return None
+    return BetterPose(*_apart_from(poses[best], arcs.poses), score[best], best)
+
+
+def _apart_from(pose: Pose, given: Pose) -> tuple[float, float]:
+    """Angle (rad) and distance between two."""
+    turn = (pose @ given.inverse()).log()[0, :3].norm()
+    return float(turn), float((pose.centre - given.centre).norm())
 
 
 def _better_pose(arcs: ViewedArcs, known: KnownLines, start_rad: float, matching: MatchingOptions) -> BetterPose | None:
@@ -111,13 +140,25 @@ def _better_pose(arcs: ViewedArcs, known: KnownLines, start_rad: float, matching
     its = matching.placing
     if best is None or best.score < max(its.min_score, its.above_chance * explained_by_lines(arcs, known, matching).score):
         return None
-    turn = (best.pose @ arcs.poses.inverse()).log()[0, :3].norm()
-    return BetterPose(float(turn), float((best.pose.centre - arcs.poses.centre).norm()), best.score)
+    return BetterPose(*_apart_from(best.pose, arcs.poses), best.score)
+
+
+def _exchanged(weak: Sequence[PhotoCount], better: dict[str, BetterPose]) -> tuple[Advice, ...]:
+    """The photos that have poses of each other."""
+    taken = [(photo.image, better[photo.image].of) for photo in weak if photo.image in better and better[photo.image].of]
+    if not taken:
+        return ()
+    where = _named([f"{image} where {other} is said to be" for image, other in taken])
+    return (
+        Advice(
+            f"The lines of the other photos put {where}.", "Names are exchanged: correct those of the photos or of their poses."
+        ),
+    )
 
 
 def _wrong_poses(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose]) -> tuple[Advice, ...]:
     """The photos whose poses are at fault."""
-    wrong = [photo for photo in weak if photo.image in better]
+    wrong = [photo for photo in weak if photo.image in better and better[photo.image].of is None]
     if not wrong:
         return ()
     sign = scene.scene.lines.unit.sign

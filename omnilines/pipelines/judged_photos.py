@@ -10,7 +10,14 @@ from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.slack import Evidence, evidence_of_poses
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs
-from omnilines.pipelines.photo_readings import PhotoReading, finer_angles, other_cameras, steps_of_angles, turned_photos
+from omnilines.pipelines.photo_readings import (
+    PhotoReading,
+    finer_angles,
+    other_cameras,
+    slipped_calibrations,
+    steps_of_angles,
+    turned_photos,
+)
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.readings import Reading, other_readings, rarer_readings
 from omnilines.progress import ProgressCallback
@@ -108,8 +115,8 @@ class _Asked:
     progress: ProgressCallback
 
     def photos(self) -> Advice | None:
-        """Flipped or turned photos."""
-        return self._read(list(turned_photos(self.found, self.cameras)))
+        """Flipped or turned photos, and slips of their calibration."""
+        return self._read([*turned_photos(self.found, self.cameras), *slipped_calibrations(self.found, self.cameras)])
 
     def cameras_of_photos(self) -> Advice | None:
         """Those of another camera: about which, and then nearer to it."""

@@ -52,6 +52,19 @@ def turned_photos(found: Sequence[FoundArcs], cameras: Calibration) -> Iterator[
             yield PhotoReading(looks, remedy, again, cameras)
 
 
+def slipped_calibrations(found: Sequence[FoundArcs], cameras: Calibration) -> Iterator[PhotoReading]:
+    """The slips of a calibration that was written by hand: its centre the other way round, its numbers those of another size."""
+    around = [cameras[one.camera].centre_px.detach().numpy() for one in found]
+    moved = [replace(one, endpoints_px=one.endpoints_px + at - at[::-1]) for one, at in zip(found, around, strict=True)]
+    seen = [_seen(one, cameras[one.camera]) for one in moved]
+    yield PhotoReading("like those of a camera whose cx and cy are exchanged", "exchange them in the calibration", seen, cameras)
+    for times, which in ((0.5, "half"), (2.0, "twice")):
+        scaled = [_mapped(one, np.full(2, -0.5), times * np.eye(2)) for one in found]
+        seen = [_seen(one, cameras[one.camera]) for one in scaled]
+        looks = f"like those of a camera that was calibrated with photos of {which} their size"
+        yield PhotoReading(looks, "give the calibration of photos of their size", seen, cameras)
+
+
 def other_cameras(found: Sequence[FoundArcs], cameras: Calibration, angles: Sequence[float]) -> Iterator[PhotoReading]:
     """Cameras that see what the calibrated ones see under so many times their angles: alike, without distortion, and fisheyes."""
     for scale in angles:

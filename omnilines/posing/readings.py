@@ -35,8 +35,9 @@ def other_readings(given: Pose) -> Iterator[Reading]:
 
 
 def rarer_readings(given: Pose, kinds: int | None = None) -> Iterator[Reading]:
-    """With any other axes of the cameras (robots, aircraft, photos that were turned), also left-handed ones (Unity, Unreal);
-    so many ways to write each, the commonest first: as they are, inverted."""
+    """Slips of a table; then with any other axes of the cameras (robots, aircraft, photos that were turned), also left-handed
+    ones (Unity, Unreal); so many ways to write each, the commonest first: as they are, inverted."""
+    yield from _slips(given)
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             axes = torch.zeros(3, 3, dtype=torch.float64)
@@ -46,6 +47,21 @@ def rarer_readings(given: Pose, kinds: int | None = None) -> Iterator[Reading]:
                 hand = "" if torch.linalg.det(axes) > 0 else "left-handed and "
                 of_axes = _Axes(f"to be {hand}of cameras whose right, down and forward are {named}", axes)
                 yield from itertools.islice(_all_kinds(given, of_axes), kinds)
+
+
+def _slips(given: Pose) -> Iterator[Reading]:
+    """Signs of t, and rows that slipped against the names of their photos."""
+    for signs, named in (((1, 1, -1), "tz"), ((1, -1, 1), "ty"), ((-1, 1, 1), "tx"), ((-1, -1, -1), "tx, ty and tz")):
+        negated = Pose(given.rotation, given.translation * given.translation.new_tensor(signs))
+        yield Reading(f"to hold {named} with the other sign", f"negate {named}", negated)
+    for rows, which in ((1, "next"), (-1, "one before")):
+        rolled = Pose(given.rotation.roll(-rows, 0), given.translation.roll(-rows, 0))
+        looks = f"to have slipped by a row: of most photos it is that of the {which} that fits"
+        yield Reading(looks, "correct the names of the photos in the table", rolled)
+    turned = Pose(given.rotation.flip(0), given.translation.flip(0))
+    yield Reading(
+        "to be in reverse: the first photo has that of the last", "correct the names of the photos in the table", turned
+    )
 
 
 @dataclass(frozen=True)
