@@ -5,6 +5,7 @@ import pycolmap
 import pytest
 import torch
 
+import omnilines as ol
 from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, GeometryError, InputError, OpenCVFisheye
 from camera_models.formats.calibration_data import RigCamera
@@ -186,6 +187,17 @@ def test_boards_that_cannot_tell_their_ends_are_refused_and_photos_without_one_l
         poses_from_boards(
             ["blank.png"], photos.__getitem__, cameras, camera_of, parse_pattern("charuco:5x4:40mm:30mm:DICT_5X5_100")
         )
+
+
+def test_a_board_that_is_printed_otherwise_than_given_gives_poses_as_it_gives_cameras() -> None:
+    """White on black: `calibrate` took the board for what it is, and found the same photos to show none."""
+    spec = "charuco:6x5:40mm:30mm:DICT_5X5_100"
+    rendered = render_targets(
+        f"{spec}:inverted", "opencv-fisheye", RenderOptions(fov_deg=150.0, views=2, size_px=(640, 480), seed=1)
+    )
+    found = ol.estimate_poses(dict(rendered.photos), rendered.camera, "boards", pattern=spec)
+    assert found.poses.images == rendered.poses.images
+    assert any(note.startswith(f"The board is {spec}:inverted, not {spec}: ") for note in found.notes)
 
 
 def test_mirrors_are_known_by_their_camera():

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from calib_patterns import DetectionOptions
 from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
@@ -25,8 +26,9 @@ from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import is_copy, without_copies
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs, require_cameras_of
 from omnilines.pipelines.pose_tables import from_table, instants, named_cameras, unit_of_poses, up_of_file
+from omnilines.pipelines.recognise import as_printed
 from omnilines.posing.find_rectangle import BearingArcs
-from omnilines.posing.from_boards import poses_from_boards
+from omnilines.posing.from_boards import is_mirrored, poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_rectangles import poses_from_rectangles
 from omnilines.posing.from_rig import poses_from_rig
@@ -196,8 +198,12 @@ def _looked_for(asked: _Asked, work: Path, progress: ProgressCallback) -> PhotoP
             mask_of=lambda name: looked_at(photo_of[name], cameras[camera_of[name]].image_size),
         )  # fmt: skip
     if asked.source == "boards":
-        target = parse_pattern(asked.pattern or "")
-        return poses_from_boards(names, read, cameras, camera_of, target, progress=progress, options=options)
+        target, otherwise = as_printed(
+            parse_pattern(asked.pattern or ""), asked.photos, any_tags=True, mirrored=all(map(is_mirrored, cameras.values())),
+            options=DetectionOptions(), progress=progress,
+        )  # fmt: skip
+        found = poses_from_boards(names, read, cameras, camera_of, target, progress=progress, options=options)
+        return found if otherwise is None else replace(found, notes=(otherwise, *found.notes))
     if asked.source == "rig":
         return poses_from_rig(cameras, names, camera_of, instants(names))
     assert asked.arcs is not None
@@ -266,7 +272,9 @@ def _made_from(asked: _Asked) -> str:
             seen.update(np.packbits(photo.mask).tobytes())
     options = repr((asked.source, asked.pattern, asked.options.stated, asked.seed, names, masks, known, rig, seen.hexdigest()))
     files = [*(photo.path for photo in asked.photos if isinstance(photo, PhotoRef)), *of_masks]
-    return fingerprint(files, options, revision(*MADE_BY, __name__, instants.__module__, looked_at.__module__))
+    return fingerprint(
+        files, options, revision(*MADE_BY, __name__, as_printed.__module__, instants.__module__, looked_at.__module__)
+    )
 
 
 def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:
