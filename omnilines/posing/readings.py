@@ -35,7 +35,7 @@ def other_readings(given: Pose) -> Iterator[Reading]:
 
 
 def rarer_readings(given: Pose, kinds: int | None = None) -> Iterator[Reading]:
-    """Slips of a table; then with any other axes of the cameras (robots, aircraft, photos that were turned), also left-handed
+    """Slips of a sign; then with any other axes of the cameras (robots, aircraft, photos that were turned), also left-handed
     ones (Unity, Unreal); so many ways to write each, the commonest first: as they are, inverted."""
     yield from _slips(given)
     for order in itertools.permutations(range(3)):
@@ -50,18 +50,10 @@ def rarer_readings(given: Pose, kinds: int | None = None) -> Iterator[Reading]:
 
 
 def _slips(given: Pose) -> Iterator[Reading]:
-    """Signs of t, and rows that slipped against the names of their photos."""
+    """Signs of t."""
     for signs, named in (((1, 1, -1), "tz"), ((1, -1, 1), "ty"), ((-1, 1, 1), "tx"), ((-1, -1, -1), "tx, ty and tz")):
         negated = Pose(given.rotation, given.translation * given.translation.new_tensor(signs))
         yield Reading(f"to hold {named} with the other sign", f"negate {named}", negated)
-    for rows, which in ((1, "next"), (-1, "one before")):
-        rolled = Pose(given.rotation.roll(-rows, 0), given.translation.roll(-rows, 0))
-        looks = f"to have slipped by a row: of most photos it is that of the {which} that fits"
-        yield Reading(looks, "correct the names of the photos in the table", rolled)
-    turned = Pose(given.rotation.flip(0), given.translation.flip(0))
-    yield Reading(
-        "to be in reverse: the first photo has that of the last", "correct the names of the photos in the table", turned
-    )
 
 
 @dataclass(frozen=True)
