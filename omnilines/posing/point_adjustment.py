@@ -144,7 +144,7 @@ class PointEngine:
         total = FrameSums(*(np.sum(arrays, axis=0) for arrays in zip(*sums, strict=True)))
         within = np.arange(6)
         total.blocks[self.pattern.diagonal[:, None], within, within] += damping * total.own[:, within, within]
-        system = ReducedSystem.of(self.pattern, total.blocks, self._gauge(state), damping)
+        system = ReducedSystem.of(self.pattern, total.blocks, self._gauge(state), damping, self._step_sizes(state))
         if system is None:
             return None
         own = np.triu(total.own) + np.triu(total.own, 1).transpose(0, 2, 1)
@@ -171,6 +171,12 @@ class PointEngine:
     def _arrays(self, state: PosesAndPoints) -> tuple[Float[np.ndarray, "free 12"], Float[np.ndarray, "p 3"]]:
         pose = state.rig_from_world[torch.from_numpy(self.free)]
         return torch.cat([pose.rotation.flatten(1), pose.translation], 1).numpy(), state.points.numpy()
+
+    def _step_sizes(self, state: PosesAndPoints) -> Float[np.ndarray, " k"]:
+        """A radian, and how far the cameras are from their mean, for every frame: no step depends on the unit of length."""
+        centre = state.rig_from_world[torch.from_numpy(self.free)].centre
+        size = float((centre - centre.mean(0)).square().sum(-1).mean().sqrt())
+        return np.tile(np.repeat([1.0, size if size > 0 else 1.0], 3), len(self.free))
 
     def _gauge(self, state: PosesAndPoints) -> Float[np.ndarray, "k g"]:
         """Columns for a common motion of all frames, and for the scale about their centres' mean where it is open."""
