@@ -37,6 +37,7 @@ def nearest_metashape(terms: Mapping[str, float], centre: tuple[float, float], s
         return along(theta) * polyval(along(theta) ** 2, radial)
 
     def image(theta: Float[np.ndarray, "m 1"], level: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "m n 2"]:
+        """u and v."""
         plane = along(theta)[..., None] * level
         x, y = plane[..., 0], plane[..., 1]
         r2 = x * x + y * y
