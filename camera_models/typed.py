@@ -43,10 +43,13 @@ def typed(function: Callable[P, T]) -> Callable[P, T]:
             given = signature.bind(*args, **kwargs).arguments
         except TypeError:
             return function(*args, **kwargs)  # which says what is wrong with the call, by its name
+        from jaxtyping import jaxtyped
+
         for name, value in given.items():
             variable = signature.parameters[name].kind in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
             if name in kinds and not variable:
-                _require(value, kinds[name], name, function.__name__)
+                with jaxtyped("context"):  # axes have the names of this signature, not of a caller's that is checked too
+                    _require(value, kinds[name], name, function.__name__)
         return function(*args, **kwargs)
 
     return checked

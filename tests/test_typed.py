@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from hostile.good import LENS, store
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, jaxtyped
 
 import camera_models
 import omnilines as ol
@@ -267,3 +267,15 @@ def test_wrong_arguments_are_told_in_a_sentence() -> None:
     lines = run.stdout.splitlines()
     assert len(lines) == len(SAID)
     assert [line for line, wanted in zip(lines, SAID, strict=True) if not line.startswith(wanted)] == []
+
+
+def test_axes_of_arguments_are_not_those_of_a_caller() -> None:
+    """Whose signature is checked too, as all are while testing: not at every call (`enforced.py`)."""
+
+    @typed
+    def rows(table: Float[np.ndarray, "h w"]) -> int:
+        return len(table)
+
+    with jaxtyped("context"):
+        assert isinstance(np.zeros((3, 4)), Float[np.ndarray, "h w"])
+        assert [rows(np.zeros((5, 6))) for _ in range(400)] == [5] * 400
