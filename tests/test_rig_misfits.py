@@ -30,6 +30,7 @@ def test_a_model_that_does_not_follow_the_lens_of_one_camera_is_named() -> None:
     assert advice.limit.startswith("cam1: ") and advice.do == "Try `model` auto, which compares all."
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("bent", "blamed"), [(0.0, []), (0.02, ["cam1"])])
 def test_a_calibration_that_is_held_is_named_where_it_is_of_another_lens(bent: float, blamed: list[str]) -> None:
     """All intrinsics are held: nothing but the residuals tells. k1 of the fisheye is other than given."""

@@ -52,6 +52,7 @@ def test_lines_and_poses_are_adjusted_alike_in_any_unit(partition: int) -> None:
         of_one_unit(one, other, unit)
 
 
+@pytest.mark.slow
 def test_rigs_are_adjusted_alike_in_any_unit() -> None:
     one = of_a_rig(1.0)
     for unit in UNITS:
