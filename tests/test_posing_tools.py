@@ -202,6 +202,7 @@ def test_photos_have_the_same_poses_by_a_table_and_by_a_file_of_a_tool(tmp_path:
     table = ol.estimate_poses(photos, Calibration({"cam0": camera}), tmp_path / "poses.csv")
     own = ol.estimate_poses(photos, Calibration({"cam0": camera}), written(tmp_path, kind))
     assert own.source == "tool"
+    assert own.unit is (LengthUnit.METRES if kind == "MetashapePoses" else LengthUnit.OPEN)
     order = [own.poses.images.index(name) for name in table.poses.images]
     np.testing.assert_allclose(own.poses.cam_from_world[order].translation, table.poses.cam_from_world.translation, atol=1e-9)
     with pytest.raises(InputError, match="give the photos that it was run on"):

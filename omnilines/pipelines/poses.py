@@ -131,8 +131,11 @@ def estimate_poses(
         found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, options, seed), work, progress)
     except GeometryError as error:
         raise GeometryError(f"{error}{'' if arcs is None else _of_copies(arcs)}") from None
+    kind = kind_of(source)
+    if kind == "tool":  # its file was read with its unit and what is up
+        return replace(found, source=kind)
     up = None if from_photos(source) else up_of_file(Path(source))
-    return replace(found, source=kind_of(source), unit=unit_of_poses(source, cameras, camera_of), up=up)
+    return replace(found, source=kind, unit=unit_of_poses(source, cameras, camera_of), up=up)
 
 
 def _of_copies(arcs: PhotoArcs) -> str:

@@ -6,6 +6,7 @@ geographic coordinates the world is earth-centred (WGS84 as a rule). Metashape P
 `ChunkTransform`.
 """
 
+from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -50,7 +51,7 @@ class MetashapePoses(PoseFile):
             names.append(name)
             matrices.append(_numbers(given, 16, f"transform of camera {name}").reshape(4, 4))
             of.append(camera.get("component_id"))
-        largest = max(of, key=of.count, default=None)
+        largest = next((part for part, _ in Counter(of).most_common(1)), None)
         kept = [k for k, part in enumerate(of) if part == largest]
         elsewhere = f"it is of another of the {len(set(of))} components in the file, which has fewer photos"
         lost |= {name: elsewhere for name, part in zip(names, of, strict=True) if part != largest}
