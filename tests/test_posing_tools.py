@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 import omnilines as ol
 from camera_models import Calibration, InputError, OpenCVFisheye
@@ -22,6 +23,7 @@ from omnilines.records import ImagePoses, LengthUnit
 NAMES = ("left/a.jpg", "left/b.jpg", "c.jpg")
 PHOTOS = list(NAMES)
 CAMERA_OF = dict.fromkeys(NAMES, "cam0")
+CAMERAS = Calibration({"cam0": OpenCVFisheye([30.0, 30.0, 31.5, 23.5, 0.0, 0.0, 0.0, 0.0], (64, 48))})
 POINTS = np.array([[0.3, -0.2, 5.0], [-1.0, 2.0, 7.0], [4.0, 0.5, -3.0]])
 
 
@@ -99,12 +101,26 @@ def metashape(scale: float = 2.0, turn: np.ndarray = np.eye(3), shift: np.ndarra
     )
 
 
+def omega_phi_kappa() -> str:
+    """Rx Ry Rz of cameras that look along -z, y up; degrees."""
+    axes = np.diag([1.0, -1.0, -1.0])
+    angles = [Rotation.from_matrix(matrix[:3, :3] @ axes).as_euler("XYZ", degrees=True) for matrix in matrices()]
+    rows = [
+        " ".join([name, *map(repr, [*matrix[:3, 3].tolist(), *turn.tolist()])])
+        for name, matrix, turn in zip(NAMES, matrices(), angles, strict=True)
+    ]
+    return "\n".join(["imageName X Y Z Omega Phi Kappa", *rows]) + "\n"
+
+
 FILES: dict[str, tuple[str, Callable[[], str]]] = {
     "NerfstudioPoses": ("transforms.json", nerfstudio),
     "OpenSfMPoses": ("reconstruction.json", opensfm),
     "OpenMVGPoses": ("sfm_data.json", openmvg),
     "MetashapePoses": ("cameras.xml", metashape),
+    "OmegaPhiKappaPoses": ("cameras.txt", omega_phi_kappa),
 }
+NAMED = [tool for tool in POSE_FILES if type(tool).__name__ in FILES]
+IN_METRES = ("MetashapePoses", "OmegaPhiKappaPoses")
 
 
 def written(folder: Path, kind: str, text: str | None = None) -> Path:
@@ -114,19 +130,19 @@ def written(folder: Path, kind: str, text: str | None = None) -> Path:
     return path
 
 
-@pytest.mark.parametrize("tool", POSE_FILES, ids=lambda tool: type(tool).__name__)
+@pytest.mark.parametrize("tool", NAMED, ids=lambda tool: type(tool).__name__)
 def test_poses_come_back_whatever_convention_the_file_has(tmp_path: Path, tool: Any) -> None:
     path = written(tmp_path, type(tool).__name__)
     assert pose_file_of(path) is tool
-    found = poses_from_tool(path, tool, [*PHOTOS, "d.jpg", "e.jpg"], {**CAMERA_OF, "d.jpg": "cam0", "e.jpg": "cam0"})
+    found = poses_from_tool(path, tool, [*PHOTOS, "d.jpg", "e.jpg"], CAMERAS, {**CAMERA_OF, "d.jpg": "cam0", "e.jpg": "cam0"})
     assert found.poses.images == NAMES
     for own, expected in zip(found.poses.cam_from_world, poses(), strict=True):
         np.testing.assert_allclose(own.transform(POINTS), expected.transform(POINTS), atol=1e-12)
     assert set(found.left_out) == {"d.jpg", "e.jpg"}
-    assert found.unit is (LengthUnit.METRES if "Metashape" in type(tool).__name__ else LengthUnit.OPEN)
+    assert found.unit is (LengthUnit.METRES if type(tool).__name__ in IN_METRES else LengthUnit.OPEN)
 
 
-@pytest.mark.parametrize("tool", POSE_FILES, ids=lambda tool: type(tool).__name__)
+@pytest.mark.parametrize("tool", NAMED, ids=lambda tool: type(tool).__name__)
 def test_a_damaged_file_of_a_tool_is_refused_with_one_sentence(tmp_path: Path, tool: Any) -> None:
     """Cut, and each of its lines lost or with other numbers: poses of it, or one sentence with its path."""
     whole = written(tmp_path, type(tool).__name__).read_text()
@@ -156,11 +172,11 @@ def test_reflections_and_sheared_rotations_are_refused(tmp_path: Path) -> None:
         frames[1]["transform_matrix"] = (np.array(frames[1]["transform_matrix"]) @ change).tolist()
         path = written(tmp_path, "NerfstudioPoses", json.dumps(data | {"frames": frames}))
         with pytest.raises(InputError, match=rf"left/b\.jpg, found .*{told}"):
-            poses_from_tool(*_file(path), PHOTOS, CAMERA_OF)
+            poses_from_tool(*_file(path), PHOTOS, CAMERAS, CAMERA_OF)
     frames = [*data["frames"], data["frames"][0]]
     path = written(tmp_path, "NerfstudioPoses", json.dumps(data | {"frames": frames}))
     with pytest.raises(InputError, match="each photo was expected once"):
-        poses_from_tool(*_file(path), PHOTOS, CAMERA_OF)
+        poses_from_tool(*_file(path), PHOTOS, CAMERAS, CAMERA_OF)
 
 
 def test_a_world_on_the_earth_says_what_is_up_and_its_unit(tmp_path: Path) -> None:
@@ -174,16 +190,16 @@ def test_a_world_on_the_earth_says_what_is_up_and_its_unit(tmp_path: Path) -> No
     text = metashape(3.0, turn, np.zeros(3)).replace(
         '<translation locked="true">0.0 0.0 0.0', f'<translation locked="true">{" ".join(map(repr, place.tolist()))}'
     )
-    found = poses_from_tool(*_file(written(tmp_path, "MetashapePoses", text)), PHOTOS, CAMERA_OF)
+    found = poses_from_tool(*_file(written(tmp_path, "MetashapePoses", text)), PHOTOS, CAMERAS, CAMERA_OF)
     assert found.unit is LengthUnit.METRES
     np.testing.assert_allclose(found.up, level, atol=1e-6)
     assert "earth-centred" in found.notes[0]
     np.testing.assert_allclose(found.poses.cam_from_world.centre - torch.from_numpy(place), poses().centre, atol=1e-7)
     # Without a transform of its own nothing is known of the world.
-    own = poses_from_tool(*_file(written(tmp_path, "MetashapePoses", metashape(1.0))), PHOTOS, CAMERA_OF)
+    own = poses_from_tool(*_file(written(tmp_path, "MetashapePoses", metashape(1.0))), PHOTOS, CAMERAS, CAMERA_OF)
     assert (own.unit, own.up, own.notes) == (LengthUnit.OPEN, None, ())
     gps = opensfm({"latitude": 46.5, "longitude": 7.9, "altitude": 500.0})
-    enu = poses_from_tool(*_file(written(tmp_path, "OpenSfMPoses", gps)), PHOTOS, CAMERA_OF)
+    enu = poses_from_tool(*_file(written(tmp_path, "OpenSfMPoses", gps)), PHOTOS, CAMERAS, CAMERA_OF)
     assert (enu.unit, enu.up) == (LengthUnit.METRES, (0.0, 0.0, 1.0))
 
 
@@ -197,21 +213,20 @@ def test_photos_have_the_same_poses_by_a_table_and_by_a_file_of_a_tool(tmp_path:
     for k, name in enumerate(NAMES):
         (photos / name).parent.mkdir(parents=True, exist_ok=True)
         cv2.imwrite(str(photos / name), np.random.default_rng(k).integers(0, 255, (48, 64), dtype=np.uint8))
-    camera = OpenCVFisheye([30.0, 30.0, 31.5, 23.5, 0.0, 0.0, 0.0, 0.0], (64, 48))
     write_poses(tmp_path / "poses.csv", ImagePoses(NAMES, poses(), ("cam0",) * len(NAMES)))
-    table = ol.estimate_poses(photos, Calibration({"cam0": camera}), tmp_path / "poses.csv")
-    own = ol.estimate_poses(photos, Calibration({"cam0": camera}), written(tmp_path, kind))
+    table = ol.estimate_poses(photos, CAMERAS, tmp_path / "poses.csv")
+    own = ol.estimate_poses(photos, CAMERAS, written(tmp_path, kind))
     assert own.source == "tool"
-    assert own.unit is (LengthUnit.METRES if kind == "MetashapePoses" else LengthUnit.OPEN)
+    assert own.unit is (LengthUnit.METRES if kind in IN_METRES else LengthUnit.OPEN)
     order = [own.poses.images.index(name) for name in table.poses.images]
     np.testing.assert_allclose(own.poses.cam_from_world[order].translation, table.poses.cam_from_world.translation, atol=1e-9)
     with pytest.raises(InputError, match="give the photos that it was run on"):
         other = tmp_path / "other"
         other.mkdir()
         cv2.imwrite(str(other / "z.png"), np.zeros((48, 64), np.uint8))
-        ol.estimate_poses(other, Calibration({"cam0": camera}), written(tmp_path, kind))
+        ol.estimate_poses(other, CAMERAS, written(tmp_path, kind))
     with pytest.raises(InputError, match=r"Metashape's XML of cameras, Nerfstudio's transforms\.json"):
-        ol.estimate_poses(photos, Calibration({"cam0": camera}), tmp_path / "missing.json")
+        ol.estimate_poses(photos, CAMERAS, tmp_path / "missing.json")
 
 
 def test_files_of_cameras_alone_are_no_files_of_poses(shared_data: Path) -> None:

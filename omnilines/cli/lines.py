@@ -26,7 +26,8 @@ Poses = Annotated[
     Path,
     typer.Option(
         "--poses",
-        help="poses.csv (cam_from_world), a COLMAP model's folder, or a file of Metashape, Nerfstudio, OpenMVG or OpenSfM.",
+        help="poses.csv (cam_from_world), a COLMAP model's folder, a file of Metashape, Pix4D, Nerfstudio, OpenMVG or OpenSfM, "
+        "or a trajectory (TUM, EuRoC, KITTI).",
         show_default=False,
     ),
 ]
@@ -34,8 +35,8 @@ PoseSource = Annotated[
     str,
     typer.Option(
         "--poses",
-        help="poses.csv, a COLMAP model's folder, or a file of Metashape, Nerfstudio, OpenMVG or OpenSfM; with photos also sfm, "
-        "rig, boards or rectangle:279x216mm (a sheet of paper).",
+        help="poses.csv, a COLMAP model's folder, a file of Metashape, Pix4D, Nerfstudio, OpenMVG or OpenSfM, or a trajectory "
+        "(TUM, EuRoC, KITTI); with photos also sfm, rig, boards or rectangle:279x216mm (a sheet of paper).",
         show_default=False,
     ),
 ]
@@ -85,6 +86,14 @@ MaybeRefine = Annotated[
     typer.Option("--refine", help="lines, with any of poses, intrinsics, rig (with --poses sfm: lines,poses; else: lines)."),
 ]
 MaybePattern = Annotated[str | None, typer.Option("--pattern", help="Target of --poses boards.")]
+Body = Annotated[
+    Path | None,
+    typer.Option(
+        "--body",
+        help="Where cameras sit on the body of a trajectory: Kalibr's camchain (T_cam_imu), EuRoC's sensor.yaml, KITTI-360's "
+        "calib_cam_to_pose.txt.",
+    ),
+]
 ScaleFrom = Annotated[
     str | None,
     typer.Option("--scale-from", help="PHOTO,PHOTO:METRES, a known distance, where poses leave the scale open (sfm, COLMAP)."),
@@ -121,6 +130,7 @@ def reconstruct(
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
     pattern: MaybePattern = None,
+    body: Body = None,
     scale_from: ScaleFrom = None,
     mask: MaskOf = None,
     min_views: MinViews = 4,
@@ -161,7 +171,9 @@ def reconstruct(
     )
     if not photos:
         assert segments is not None
-        _from_segments(calibration, Path(poses), segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
+        _from_segments(
+            calibration, Path(poses), segments, out, options, body, robust, pose_sigma_deg, pose_sigma_m, as_json, plots
+        )
         return
 
     def reconstructed(progress: "ProgressCallback") -> "CommandResult":
@@ -169,7 +181,7 @@ def reconstruct(
         with workers(cluster, progress=progress) as executor:
             return with_frames(
                 lambda paths: reconstruct_photos(
-                    paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern,
+                    paths, calibration, poses, out, options, extraction=extraction, segments=segments, pattern=pattern, body=body,
                     scale_from=scale_from, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, mask=mask, colmap=colmap,
                     recording=recording, executor=executor, progress=progress,
                 ),
@@ -195,15 +207,15 @@ def _options(settings: list[str] | None, method: Mapping[str, Any], **given: Any
 
 
 def _from_segments(
-    calibration: Path, poses: Path, segments: Path, out: Path, options: "SceneOptions", robust: bool,
+    calibration: Path, poses: Path, segments: Path, out: Path, options: "SceneOptions", body: Path | None, robust: bool,
     pose_sigma_deg: float | None, pose_sigma_m: float | None, as_json: bool, plots: Path | None,
 ) -> None:  # fmt: skip
     from omnilines.commands.reconstruct import reconstruct_segments
 
     run(
         lambda progress: reconstruct_segments(
-            calibration, poses, segments, out, options, robust=robust, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m,
-            progress=progress,
+            calibration, poses, segments, out, options, body=body, robust=robust, pose_sigma_deg=pose_sigma_deg,
+            pose_sigma_m=pose_sigma_m, progress=progress,
         ),
         as_json,
         plots=plots,
@@ -223,6 +235,7 @@ def adjust(
     cost: Cost = "whitened",
     refine: Refine = "lines,poses",
     loss: LossName = "none",
+    body: Body = None,
     robust: Robust = False,
     pose_sigma_deg: PoseSigmaDeg = None,
     pose_sigma_m: PoseSigmaM = None,
@@ -243,7 +256,7 @@ def adjust(
         device=device,
         partition=partition,
     )
-    _from_segments(calibration, poses, segments, out, options, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
+    _from_segments(calibration, poses, segments, out, options, body, robust, pose_sigma_deg, pose_sigma_m, as_json, plots)
 
 
 @app.command()

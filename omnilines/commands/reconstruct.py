@@ -66,6 +66,7 @@ def reconstruct_photos(
     extraction: ExtractionOptions = SHORT_ARCS,
     segments: Path | None = None,
     pattern: str | None = None,
+    body: Path | None = None,
     scale_from: str | None = None,
     pose_sigma_deg: float | None = None,
     pose_sigma_m: float | None = None,
@@ -77,11 +78,11 @@ def reconstruct_photos(
 ) -> CommandResult:
     """Rebuild the straight lines that photos show.
 
-    `poses` is a source of `estimate_poses`. `scale_from`, such as `a.jpg,b.jpg:2.5`, is the distance in metres of two photos,
-    where poses leave the scale open. `pose_sigma_deg` and `pose_sigma_m`, both or neither, make given poses a prior with these
-    standard deviations. `segments` is a table of unmatched segments of these photos, taken in place of arcs that
-    would be found in them; the workers of an `executor` find those, and adjust the parts of a divided scene. `colmap` and
-    `recording` add a COLMAP model and a recording for the rerun viewer.
+    `poses` is a source of `estimate_poses`, `body` its file of where cameras sit on a body. `scale_from`, such as
+    `a.jpg,b.jpg:2.5`, is the distance in metres of two photos, where poses leave the scale open. `pose_sigma_deg` and
+    `pose_sigma_m`, both or neither, make given poses a prior with these standard deviations. `segments` is a table of unmatched
+    segments of these photos, taken in place of arcs that would be found in them; the workers of an `executor` find those, and
+    adjust the parts of a divided scene. `colmap` and `recording` add a COLMAP model and a recording for the rerun viewer.
 
     Writes a scene folder (docs/reconstruction.md). Arcs and poses that were found are kept in `out/work`; a run with the same
     inputs and options as the last one does nothing. A photo that cannot be used is named and skipped. Raises InputError on bad
@@ -94,14 +95,14 @@ def reconstruct_photos(
     unit = unit_of_poses(poses, cameras, camera_of)
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
     folder = Path(out)
-    check_source(poses, refs, cameras, camera_of, pattern)
+    check_source(poses, refs, cameras, camera_of, pattern, body)
     prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
     check_options(options, cameras, prior)
     if colmap:
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
     if recording:
         rerun_module()
-    files = [*calibration_files(calibration), *mask_files(refs), *(() if segments is None else (segments,)), *_pose_files(poses)]
+    files = [*calibration_files(calibration), *mask_files(refs), *_given_files(segments, body), *_pose_files(poses)]
     read, work = [*photos, *(photo.path for photo in refs), *files], folder / WORK
     names = {*RESULTS, *(COLMAP if colmap else ()), *([RECORDING] if recording else ())}
     check_results(folder, names, read)
@@ -114,7 +115,7 @@ def reconstruct_photos(
     if done is not None:
         return replace(done, then=_next(folder, done.data.get("lines")))
     if distance is not None and not from_photos(poses):
-        require_poses(distance, estimate_poses(refs, cameras, poses))
+        require_poses(distance, estimate_poses(refs, cameras, poses, body=body))
     if given is None:
         arcs = extract(
             refs, cameras, camera_of=camera_of, options=extraction, appearance=options.matching.appearance, work=work,
@@ -126,8 +127,9 @@ def reconstruct_photos(
             progress=progress,
         )  # fmt: skip
     posed = estimate_poses(
-        arcs, cameras, poses, pattern=pattern, options=options.posing, seed=options.seed, work=work, progress=progress
-    )
+        arcs, cameras, poses, pattern=pattern, body=body, options=options.posing, seed=options.seed, work=work,
+        progress=progress,
+    )  # fmt: skip
     inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
     scene = reconstruct(
         arcs, posed, cameras, options, distance=distance, pose_sigma=prior, inputs=inputs, work=work, executor=executor,
@@ -149,6 +151,7 @@ def reconstruct_segments(
     out: Path,
     options: SceneOptions = replace(OF_TABLES, refine=("lines",)),
     *,
+    body: Path | None = None,
     robust: bool = False,
     pose_sigma_deg: float | None = None,
     pose_sigma_m: float | None = None,
@@ -162,10 +165,13 @@ def reconstruct_segments(
     InputError naming file, line and column where a table is malformed, and GeometryError when no track determines a line.
     """
     prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
-    names, read = (*SCENE_FILES, PAGE), [*calibration_files(calibration), poses, segments, *_pose_files(str(poses))]
+    names, read = (
+        (*SCENE_FILES, PAGE),
+        [*calibration_files(calibration), *_given_files(poses, segments, body), *_pose_files(str(poses))],
+    )
     check_results(out, names, read)
     cameras, table = read_cameras(calibration), read_segments(segments)
-    posed = replace(_poses(poses, table, cameras), unit=unit_of_file(poses), up=up_of_file(poses))
+    posed = replace(_poses(poses, table, cameras, body), unit=unit_of_file(poses), up=up_of_file(poses))
     inputs = {"calibration": calibration, "poses": poses, "segments": segments}
     scene = adjust(table, posed, cameras, options, robust=robust, pose_sigma=prior, inputs=inputs, progress=progress)
     with claimed(out, names, read, by=SCENE):
@@ -183,6 +189,10 @@ def _given(segments: Path | None, mask: Path | None, photos: Sequence[Photo], ca
     return table
 
 
+def _given_files(*files: Path | None) -> list[Path]:
+    return [file for file in files if file is not None]
+
+
 def _pose_files(source: str) -> list[Path]:
     path = Path(source)
     if path.is_dir():
@@ -190,16 +200,18 @@ def _pose_files(source: str) -> list[Path]:
     return [path] if path.is_file() else []
 
 
-def _poses(path: Path, segments: Segments, cameras: Calibration) -> PhotoPoses:
+def _poses(path: Path, segments: Segments, cameras: Calibration, body: Path | None) -> PhotoPoses:
     """The poses of a table, a COLMAP model or another tool's file, or those that see a table's points of known place."""
     tool = pose_file_of(path)
+    if tool is None and body is not None:
+        raise InputError(f"`body` was expected with `poses` of a trajectory and only there, found `poses` {path}; leave it out.")
     if tool is None and not path.is_dir() and not is_corners_table(path):
         return PhotoPoses(read_poses(path))
     camera_of = dict(zip(segments.images, cameras_of_images(segments, None, cameras), strict=True))
     if path.is_dir():
         return poses_from_colmap(path, segments.images, camera_of)
     if tool is not None:
-        return poses_from_tool(path, tool, segments.images, camera_of)
+        return poses_from_tool(path, tool, segments.images, cameras, camera_of, body)
     found = poses_from_corners(read_corners(path), cameras, camera_of)
     if found.left_out:
         raise InputError(f"{path}: {next(iter(found.left_out.values()))}")

@@ -59,13 +59,22 @@ def from_photos(source: str) -> bool:
 
 
 def check_source(
-    source: str, photos: Sequence[Photo], cameras: Calibration, camera_of: Mapping[str, str], pattern: str | None
+    source: str,
+    photos: Sequence[Photo],
+    cameras: Calibration,
+    camera_of: Mapping[str, str],
+    pattern: str | None,
+    body: Path | None = None,
 ) -> None:
     """Refuse what `estimate_poses` cannot work from, before any photo is looked at: tables, models and patterns are read.
 
     Raises InputError where the source is none of those there or does not fit the photos.
     """
     require_pattern(source, pattern)
+    if body is not None and (from_photos(source) or kind_of(source) != "tool"):
+        raise InputError(
+            f"`body` was expected with `poses` of a trajectory and only there, found `poses` {source}; leave it out."
+        )
     if source == "boards":
         parse_pattern(pattern or "")
     elif source.startswith(PREFIX):
@@ -74,7 +83,7 @@ def check_source(
         if len(photos) < LEAST_PHOTOS:
             raise InputError(f"`poses` sfm was expected with {LEAST_PHOTOS} photos or more, found {len(photos)}; give more.")
     else:
-        _without_photos(source, [photo.name for photo in photos], cameras, camera_of)
+        _without_photos(source, [photo.name for photo in photos], cameras, camera_of, body)
 
 
 def require_pattern(source: str, pattern: str | None) -> None:
@@ -92,6 +101,7 @@ def estimate_poses(
     source: str | Path = "sfm",
     *,
     pattern: str | None = None,
+    body: str | Path | None = None,
     options: PosingOptions = PosingOptions(),
     seed: int = 0,
     work: str | Path | None = None,
@@ -101,7 +111,8 @@ def estimate_poses(
 
     `source` is `sfm` (structure from motion), `rig`, `boards` (with a `pattern`), `rectangle:WIDTHxHEIGHT` (a sheet of that
     size, found by its arcs), or the path of a poses.csv, a corners.csv of points of known place, a folder with a COLMAP model, or
-    a file with poses of Metashape, Nerfstudio, OpenMVG or OpenSfM (`omnilines/posing/tools`).
+    a file with poses of Metashape, Pix4D, Nerfstudio, OpenMVG or OpenSfM, or with a trajectory (`omnilines/posing/tools`), of a
+    body where the file `body` says how the cameras sit on it (`omnilines/posing/body.py`).
     Of a rig, a frame is the photos of one file name; poses of a table that names some of its cameras are completed. Poses that
     were looked for in photos are kept in the folder `work`, where one is given.
 
@@ -111,7 +122,7 @@ def estimate_poses(
         >>> len(posed.poses), posed.left_out, posed.unit.words
         (6, {}, 'metres')
     """
-    source, cameras = str(source), calibration_of(camera)
+    source, cameras, body = str(source), calibration_of(camera), None if body is None else Path(body)
     require_ranges(options)
     if isinstance(photos, PhotoArcs):
         require_cameras_of(photos, cameras)
@@ -126,9 +137,9 @@ def estimate_poses(
         camera_of = arcs.camera_of
     require_pattern(source, pattern)
     if not isinstance(photos, PhotoArcs):
-        check_source(source, refs, cameras, camera_of, pattern)
+        check_source(source, refs, cameras, camera_of, pattern, body)
     try:
-        found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, options, seed), work, progress)
+        found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, body, options, seed), work, progress)
     except GeometryError as error:
         raise GeometryError(f"{error}{'' if arcs is None else _of_copies(arcs)}") from None
     kind = kind_of(source)
@@ -166,6 +177,7 @@ class _Asked:
     cameras: Calibration
     camera_of: Mapping[str, str]
     pattern: str | None
+    body: Path | None
     options: PosingOptions
     seed: int
 
@@ -174,7 +186,7 @@ def _found(asked: _Asked, work: str | Path | None, progress: ProgressCallback) -
     """The poses, kept where a folder for that is given and they had to be looked for."""
     if not from_photos(asked.source):
         names = [photo.name for photo in asked.photos]
-        return _without_photos(asked.source, names, asked.cameras, asked.camera_of, asked.options)
+        return _without_photos(asked.source, names, asked.cameras, asked.camera_of, asked.body, asked.options)
     if work is None:
         with tempfile.TemporaryDirectory() as folder:
             return _looked_for(asked, Path(folder), progress)
@@ -232,6 +244,7 @@ def _without_photos(
     names: Sequence[str],
     cameras: Calibration,
     camera_of: Mapping[str, str],
+    body: Path | None = None,
     options: PosingOptions = PosingOptions(),
 ) -> PhotoPoses:
     """Poses from a source that does not look into the photos."""
@@ -246,7 +259,7 @@ def _without_photos(
         )
     tool = pose_file_of(Path(source))
     if tool is not None:
-        return poses_from_tool(Path(source), tool, names, camera_of)
+        return poses_from_tool(Path(source), tool, names, cameras, camera_of, body)
     return from_table(Path(source), names, cameras, camera_of, options)
 
 

@@ -149,7 +149,7 @@ def reconstruct(
     except GeometryError as error:
         refuse_reading(arcs.photos, posed, cameras, options, progress)
         known = f"{len(posed.poses)} have poses" + (f": {table}." if table else ".")
-        why = next((f" {reason}" for reason in posed.left_out.values()), "")
+        why = "".join(f" {said}" for said in (*list(posed.left_out.values())[:1], *posed.notes[:1]))
         raise GeometryError(f"{error} Of {len(arcs.photos)} photos, {known}{why}") from None
     if not found.matched.beyond_chance:
         refuse_reading(arcs.photos, posed, cameras, options, progress)

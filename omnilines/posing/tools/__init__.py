@@ -4,15 +4,26 @@ from pathlib import Path
 
 from camera_models.formats import HEAD
 from camera_models.formats.disk import read_bytes
-from omnilines.posing.tools.contract import PoseFile, ToolPoses
+from omnilines.posing.tools.contract import Keys, PoseFile, ToolPoses
+from omnilines.posing.tools.kitti import KittiPoses
 from omnilines.posing.tools.metashape import MetashapePoses
 from omnilines.posing.tools.nerfstudio import NerfstudioPoses
+from omnilines.posing.tools.omega_phi_kappa import OmegaPhiKappaPoses
 from omnilines.posing.tools.openmvg import OpenMVGPoses
 from omnilines.posing.tools.opensfm import OpenSfMPoses
+from omnilines.posing.tools.timed import TimedPoses
 
-__all__ = ["POSE_FILES", "TITLES", "PoseFile", "ToolPoses", "pose_file_of"]
+__all__ = ["POSE_FILES", "TITLES", "Keys", "PoseFile", "ToolPoses", "pose_file_of"]
 
-POSE_FILES: tuple[PoseFile, ...] = (MetashapePoses(), NerfstudioPoses(), OpenMVGPoses(), OpenSfMPoses())
+POSE_FILES: tuple[PoseFile, ...] = (
+    MetashapePoses(),
+    NerfstudioPoses(),
+    OpenMVGPoses(),
+    OpenSfMPoses(),
+    OmegaPhiKappaPoses(),
+    TimedPoses(),
+    KittiPoses(),
+)
 
 TITLES = ", ".join(one.TITLE for one in POSE_FILES)
 

@@ -4,6 +4,8 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import Decimal
+from enum import StrEnum
 from pathlib import Path
 from typing import ClassVar
 
@@ -20,9 +22,19 @@ ROUNDED = 1e-3
 """By which entries of R'R may differ from those of I: files round, and some tools keep single precision."""
 
 
+class Keys(StrEnum):
+    """What photos find their poses in a file by."""
+
+    NAMES = "names"
+    TIMES = "times"
+    """Of a trajectory: seconds that photos are named by."""
+    NUMBERS = "numbers"
+    """Of a trajectory: the number of the frame, which photos are named by."""
+
+
 @dataclass(frozen=True)
 class ToolPoses:
-    """`cam_from_world` of photos under the names that the tool has for them."""
+    """`cam_from_world` of photos under the names that the tool has for them; of a rig's trajectory, `rig_from_world`."""
 
     names: tuple[str, ...]
     cam_from_world: Pose
@@ -32,6 +44,9 @@ class ToolPoses:
     notes: tuple[str, ...] = ()
     up: tuple[float, float, float] | None = None
     """The direction (unit) of its world that is up, where the file says so."""
+    keys: Keys = Keys.NAMES
+    moments: tuple[Decimal, ...] = ()
+    """Of a trajectory, the times (s) or numbers of its rows."""
 
 
 class PoseFile(ABC):
@@ -56,7 +71,8 @@ class PoseFile(ABC):
             raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
         twice = sorted(name for name, count in Counter(found.names).items() if count > 1)
         if twice:
-            raise InputError(f"{path}: each photo was expected once, found {twice[0]} several times; export the poses again.")
+            one = "photo" if found.keys is Keys.NAMES else "row"
+            raise InputError(f"{path}: each {one} was expected once, found {twice[0]} several times; export the poses again.")
         if not found.names:
             raise InputError(f"{path}: poses of photos were expected in {self.TITLE}, found none; align the photos there first.")
         return found
