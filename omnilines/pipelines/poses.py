@@ -259,7 +259,7 @@ def _without_photos(
         )
     tool = pose_file_of(Path(source))
     if tool is not None:
-        return poses_from_tool(Path(source), tool, names, cameras, camera_of, body)
+        return poses_from_tool(Path(source), tool, names, cameras, camera_of, body, options.given)
     return from_table(Path(source), names, cameras, camera_of, options)
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from camera_models import Calibration, InputError
 from omnilines.posing.from_trajectory import poses_from_trajectory
+from omnilines.posing.options import GivenOptions
 from omnilines.posing.photo_names import matched_names
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.tools import Keys, PoseFile, ToolPoses
@@ -18,6 +19,7 @@ def poses_from_tool(
     cameras: Calibration,
     camera_of: Mapping[str, str],
     body: Path | None = None,
+    options: GivenOptions = GivenOptions(),
 ) -> PhotoPoses:
     """`cam_from_world` of photos that a tool's file has, in its world and unit; its cameras are not used.
 
@@ -27,7 +29,7 @@ def poses_from_tool(
     """
     own = tool.read(path)
     if own.keys is not Keys.NAMES:
-        return poses_from_trajectory(path, own, photos, cameras, camera_of, body)
+        return poses_from_trajectory(path, own, photos, cameras, camera_of, body, options)
     if body is not None:
         raise InputError(
             f"`body` was expected with a trajectory, found it beside {tool.TITLE}, which has poses of photos; leave it out."

@@ -14,14 +14,10 @@ from camera_models.pose import Pose
 from omnilines.geometry.between_poses import left_out_errors, poses_between
 from omnilines.posing.body import mounts
 from omnilines.posing.moments import number_of, time_of, unit_s
+from omnilines.posing.options import GivenOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.tools import Keys, ToolPoses
 from omnilines.records import ImagePoses
-
-MAX_GAP_S = 0.25
-"""Between two rows, up to which a pose between them is interpolated: who walks turns about then."""
-SAME_S = 1e-3
-"""A photo so near to a row has its pose, though no other row is on its other side: stamps are written with so many digits."""
 
 
 def poses_from_trajectory(
@@ -31,11 +27,12 @@ def poses_from_trajectory(
     cameras: Calibration,
     camera_of: Mapping[str, str],
     body: Path | None = None,
+    options: GivenOptions = GivenOptions(),
 ) -> PhotoPoses:
     """`cam_from_world` of photos that are named by their time or number.
 
     The trajectory is that of the body on which the file `body` places the cameras; without one that of the camera, with a rig
-    that of the rig frame. Between two rows up to `MAX_GAP_S` apart poses are
+    that of the rig frame. Between two rows up to `max_gap_s` apart poses are
     interpolated, and a note says how far that errs. Raises InputError where no photo has a pose.
     """
     by_time, mounted = own.keys is Keys.TIMES, mounts(body, cameras)
@@ -47,7 +44,9 @@ def poses_from_trajectory(
         if photo not in named
     }
     later_s = [mounted[camera_of[photo]].later_s for photo in named]
-    kept, poses, reasons, notes = _by_time(own, named, later_s, path.name) if by_time else _by_number(own, named, path.name)
+    kept, poses, reasons, notes = (
+        _by_time(own, named, later_s, path.name, options) if by_time else _by_number(own, named, path.name)
+    )
     if not kept:
         raise InputError(_none(path, own, photos))
     lost |= reasons
@@ -89,7 +88,9 @@ def _by_number(own: ToolPoses, moments: Mapping[str, Decimal], file: str) -> _Po
     return kept, own.cam_from_world[[row_of[moments[photo]] for photo in kept]], lost, ()
 
 
-def _by_time(own: ToolPoses, moments: Mapping[str, Decimal], later_s: Sequence[float], file: str) -> _Posed:
+def _by_time(
+    own: ToolPoses, moments: Mapping[str, Decimal], later_s: Sequence[float], file: str, options: GivenOptions
+) -> _Posed:
     order = sorted(range(len(own.moments)), key=own.moments.__getitem__)
     start = own.moments[order[0]]
     rows_s = np.array([float(own.moments[k] - start) for k in order])
@@ -99,28 +100,28 @@ def _by_time(own: ToolPoses, moments: Mapping[str, Decimal], later_s: Sequence[f
     before, gap_s = _rows_around(rows_s, times_s)
     after = np.minimum(before + 1, len(rows_s) - 1)
     nearest = np.where(np.abs(rows_s[after] - times_s) < np.abs(rows_s[before] - times_s), after, before)
-    same = np.abs(rows_s[nearest] - times_s) <= SAME_S
-    between = ~same & (gap_s <= MAX_GAP_S)
+    same = np.abs(rows_s[nearest] - times_s) <= options.same_time_s
+    between = ~same & (gap_s <= options.max_gap_s)
     poses = poses_between(world_from_body, rows_s, times_s, before)
     turned, placed = poses.rotation.clone(), poses.translation.clone()
     turned[same], placed[same] = world_from_body.rotation[nearest[same]], world_from_body.translation[nearest[same]]
     good = same | between
     photos = list(moments)
     lost = {
-        photo: f"{photo} has no pose: {_why(gap, file)}." for photo, gap, one in zip(photos, gap_s, good, strict=True) if not one
+        photo: f"{photo} has no pose: {_why(gap, file, options.max_gap_s)}."
+        for photo, gap, one in zip(photos, gap_s, good, strict=True)
+        if not one
     }
     kept = [photo for photo, one in zip(photos, good, strict=True) if one]
     rows = torch.from_numpy(np.flatnonzero(good))
-    notes = _interpolated(world_from_body, rows_s, times_s[between], before[between])
+    notes = _interpolated(world_from_body, rows_s, times_s[between], before[between], options.max_gap_s)
     return kept, Pose(turned[rows], placed[rows]).inverse(), lost, notes
 
 
-def _why(gap_s: float, file: str) -> str:
+def _why(gap_s: float, file: str, most_s: float) -> str:
     if math.isinf(gap_s):
         return f"it was taken before or after the trajectory of {file}"
-    return (
-        f"the rows of {file} around it are {gap_s:.2g} s apart, more than the {MAX_GAP_S:g} s up to which poses are interpolated"
-    )
+    return f"the rows of {file} around it are {gap_s:.2g} s apart, more than the {most_s:g} s up to which poses are interpolated"
 
 
 def _rows_around(rows_s: Float[np.ndarray, " n"], times_s: Float[np.ndarray, " m"]) -> tuple[np.ndarray, Float[np.ndarray, " m"]]:
@@ -133,13 +134,13 @@ def _rows_around(rows_s: Float[np.ndarray, " n"], times_s: Float[np.ndarray, " m
 
 
 def _interpolated(
-    world_from_body: Pose, rows_s: Float[np.ndarray, " n"], times_s: Float[np.ndarray, " m"], before: np.ndarray
+    world_from_body: Pose, rows_s: Float[np.ndarray, " n"], times_s: Float[np.ndarray, " m"], before: np.ndarray, most_s: float
 ) -> tuple[str, ...]:
     """How far interpolation errs, as rows that are left out tell it."""
     if not len(times_s):
         return ()
     said = f"{len(times_s)} photos were taken between rows of the trajectory, and their poses are interpolated"
-    errors = left_out_errors(world_from_body, rows_s, times_s, before, 2 * MAX_GAP_S)
+    errors = left_out_errors(world_from_body, rows_s, times_s, before, 2 * most_s)
     if errors is None:
         return (f"{said}; its rows are too far apart to tell how well.",)
     turned_rad, moved_m = errors

@@ -155,7 +155,7 @@ class RectangleOptions(NamedTuple):
 
 
 class GivenOptions(NamedTuple):
-    """Poses from boards, from points or matches that are given, and from rigs."""
+    """Poses from boards, from points or matches that are given, from rigs and from trajectories."""
 
     corner_sigma_px: float = 0.5
     """Of corners of a board and camera together, where a pose begins: generous, it only decides what is a gross error."""
@@ -174,6 +174,10 @@ class GivenOptions(NamedTuple):
     """A matched point counts by its parallax up to this where the first two photos are chosen."""
     rig_contradicts_rad: float = math.radians(5.0)
     """Photos of one frame whose poses differ from what the rig says by more are not of that rig, or of other instants."""
+    max_gap_s: float = 0.25
+    """Between two rows of a trajectory, up to which poses between them are interpolated: who walks turns about then."""
+    same_time_s: float = 1e-3
+    """A photo so near to a row of a trajectory has its pose, though no row is on its other side: stamps are rounded."""
 
 
 class CarriedOptions(NamedTuple):
