@@ -121,6 +121,7 @@ def test_covariances_are_the_sandwich_of_the_cost(cost: str, rig: bool) -> None:
 
 
 @pytest.mark.parametrize("cost", ["sector", "bartoli-sturm", "taylor-kriegman"])
+@pytest.mark.slow
 def test_weights_predict_the_spread_of_the_residuals(cost: str) -> None:
     """tr W is the mean square of a cost's residuals at the truth for noise of unit level, over draws."""
     truth = world_of("190 degrees", 14, 6)

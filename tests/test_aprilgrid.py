@@ -117,6 +117,7 @@ def test_part_of_the_board(camera: str) -> None:
     assert checked == 8
 
 
+@pytest.mark.slow
 def test_one_tag_is_enough() -> None:
     view = views(SPEC, "fisheye-190", 4, 8.0)[0]
     # Tag 14 of the third row: its corners by Kalibr's rule, and the gap around it.

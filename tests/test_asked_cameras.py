@@ -80,6 +80,7 @@ def test_nothing_is_asked_of_the_right_camera_but_what_noise_makes() -> None:
 
 
 @pytest.mark.parametrize("refine", [("lines",), ("lines", "poses")])
+@pytest.mark.slow
 def test_a_camera_that_is_off_is_contradicted(refine: tuple[str, ...]) -> None:
     off = CAMERA.parameters.clone()
     off[:2] *= 1.02
@@ -111,6 +112,7 @@ def test_nothing_is_asked_of_what_has_no_parameters_or_was_refined() -> None:
     assert CAMERAS == len(scene.poses)
 
 
+@pytest.mark.slow
 def test_an_adjustment_of_segments_says_that_they_contradict_its_calibration() -> None:
     """Poses take up two percent of the focal length: residuals are those of noise, and nothing but this tells."""
     segments, poses, _ = world()

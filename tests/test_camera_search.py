@@ -206,6 +206,7 @@ def test_complete_photos_are_read_the_first_time_only(photo_set: Set, monkeypatc
 
 
 @pytest.mark.parametrize("model", ["opencv-fisheye", pytest.param("auto", marks=pytest.mark.full)])
+@pytest.mark.slow
 def test_calibrate_gains_what_detection_lost(photo_set: Set, model: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     whole = detect(photo_set.folder, BOARD)
     monkeypatch.setattr("omnilines.commands.calibrate.detect", lambda *_, **__: reduced(whole, photo_set))
@@ -230,6 +231,7 @@ def test_calibrate_gains_what_detection_lost(photo_set: Set, model: str, monkeyp
     assert note in result.warnings and note in result.data["notes"]
 
 
+@pytest.mark.slow
 def test_calibrate_says_nothing_where_nothing_was_missing(photo_set: Set, tmp_path: Path) -> None:
     result = calibrate_photos([photo_set.folder], SPEC, tmp_path, CalibrationOptions("opencv-fisheye"))
     assert not any("The camera led to" in text for text in result.warnings)

@@ -126,6 +126,7 @@ def test_as_many_are_there_by_chance_as_moved_photos_tell() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_where_many_are_it_is_said() -> None:
     every, none = lines_found(1.0), lines_found(LIMITS.max_chance_share, clutter=0)
     options = SceneOptions(refine=("lines",))

@@ -121,6 +121,7 @@ def test_no_white_beside_tags_is_an_option(share: str) -> None:
     assert np.abs(found.pixels - usual.pixels).max() < 0.1
 
 
+@pytest.mark.slow
 def test_squares_lead_where_no_tag_can_be_read() -> None:
     """Squares of 12 px near the rim, blurred, of which four corners in a square are all that the search for pieces finds: others
     are grown around them, and all tags together tell which part of the board it is. Not with the tags of other dictionaries."""
@@ -140,6 +141,7 @@ def test_squares_lead_where_no_tag_can_be_read() -> None:
 
 
 @pytest.mark.parametrize("size", ["10x7", "7x9", "12x9"])
+@pytest.mark.slow
 def test_a_board_of_another_size_is_refused(size: str) -> None:
     """Its tags are read, but most of them lie elsewhere on the board."""
     found, reason = calib_patterns.pattern(f"charuco:{size}:30mm:22mm:DICT_5X5_100").detect(
@@ -173,6 +175,7 @@ def test_nothing_is_found_on_another_target(other: str) -> None:
     assert len(found) == 0 and reason is not None
 
 
+@pytest.mark.slow
 def test_a_mirrored_photo_needs_the_option() -> None:
     view = views(SPEC, "scaramuzza", 4, 12.0)[0]
     flipped = np.ascontiguousarray(view.image[:, ::-1])

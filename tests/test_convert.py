@@ -105,6 +105,7 @@ def test_a_fit_says_its_error_and_writes_it_beside(tmp_path: Path, capsys) -> No
     assert np.sqrt((off**2).mean()) == pytest.approx(float(ring["rms_px"]), rel=0.3)
 
 
+@pytest.mark.slow
 def test_names_of_formats_and_files_that_differ_in_their_ending(tmp_path: Path, capsys) -> None:
     source = save(tmp_path / "calibration.yaml", OCAM)
     for name in ("ros.yaml", "opensfm.json", "openmvg.json", "opencv.json", "opencv.yaml"):
@@ -187,6 +188,7 @@ def test_parameters_that_a_format_lacks_are_made_up_for(tmp_path: Path, capsys) 
     assert camera["max_px"] < 0.5 * dropped
 
 
+@pytest.mark.slow
 def test_a_turn_about_the_axis_goes_to_the_poses(tmp_path: Path, capsys) -> None:
     """d and e of OCamCalib turn the image; with the poses turned too, every camera still sees every point where it did."""
     given = rig(OCAM, SLANTED)
@@ -255,6 +257,7 @@ def test_where_a_tool_ends_is_said(tmp_path: Path, capsys) -> None:
     assert "itself ends" not in run(capsys, narrow, tmp_path / "camchain.yaml")[2]
 
 
+@pytest.mark.slow
 def test_a_model_that_ends_before_the_image_does(tmp_path: Path, capsys) -> None:
     """Without --fov all is fitted that the target holds, which is said; a wider --fov is refused with the widest that holds."""
     lens = camera_models.DoubleSphere([350.0, 352.0, 640.3, 470.2, -0.2, 0.6], (1280, 960))

@@ -46,6 +46,7 @@ def test_a_photo_twice_in_a_table_of_segments_is_named() -> None:
     assert copied_segments(segments.rows(np.zeros(0, dtype=np.int64))) == ()
 
 
+@pytest.mark.slow
 def test_a_copy_confirms_no_line(room: tuple[dict[str, np.ndarray], ol.ImagePoses]) -> None:
     """Whether its pose is known too or not, and whichever of both is named first."""
     photos, poses = room
@@ -70,6 +71,7 @@ def test_copies_are_named_where_too_few_other_photos_are_left(room: tuple[dict[s
         ol.estimate_poses(arcs, LENS, "sfm")
 
 
+@pytest.mark.slow
 def test_photos_of_other_cameras_are_no_copies(room: tuple[dict[str, np.ndarray], ol.ImagePoses]) -> None:
     """Of a rig whose cameras see the same, as a rendered one may."""
     photos, poses = room
@@ -92,6 +94,7 @@ def test_a_copy_tells_nothing_of_a_camera(room: tuple[dict[str, np.ndarray], ol.
     assert followed.chains.images == (name,) and "later.png is skipped: It is a copy of view01.png" in str(followed.skipped)
 
 
+@pytest.mark.slow
 def test_a_copy_of_a_board_tells_nothing_of_a_camera() -> None:
     """Neither its corners nor its photo, which the camera would look through again; and nobody is asked to take it anew."""
     photos = dict(ol.render("checkerboard:5x4:60mm", LENS, ol.RenderOptions(views=4, seed=3)).photos)

@@ -173,6 +173,7 @@ def test_held_poses_give_what_torch_gives(monkeypatch: pytest.MonkeyPatch, held:
     assert bool((compiled.pose_covariance[mask] == 0).all())
 
 
+@pytest.mark.slow
 def test_held_lines_and_a_prior_give_what_torch_gives(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = row(seed=3)
     held = torch.zeros(60, dtype=torch.bool)

@@ -226,6 +226,7 @@ def test_every_figure_improves_on_real_corners(fisheye1: tuple[Corners, BoardExp
     assert first.by_photos.ratio < first.by_photos.limit
 
 
+@pytest.mark.slow
 def test_half_turns_of_real_photos_are_harmless(fisheye1: tuple[Corners, BoardExperiment]) -> None:
     corners, straight = fisheye1
     odd = corners.view % 2 == 1

@@ -66,6 +66,7 @@ def test_house_reaches_its_limits(shared_data: Path, tmp_path: Path) -> None:
     assert len(read_lines(tmp_path / "out" / "lines.csv").tracks) == 30
 
 
+@pytest.mark.slow
 def test_house_from_its_point_matches_stands_where_its_matrices_say(shared_data: Path) -> None:
     house, points = read_vgg_lines(shared_data / HOUSE), read_vgg_points(shared_data / HOUSE)
     assert len(np.unique(points.point)) == 672 and np.bincount(points.view).min() >= 100

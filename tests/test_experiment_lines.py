@@ -224,6 +224,7 @@ def test_whitened_adjustment_is_at_the_bound_over_200_seeds(study: str) -> None:
 
 
 @pytest.mark.parametrize("study", STUDIES)
+@pytest.mark.slow
 def test_without_noise_there_is_no_error(study: str) -> None:
     costs = [name for name, _ in COSTS if study == "wide" or name == "whitened"]
     found = run_study(study_world(study, 1), (0.0,), 1, perturb_deg=1.0, perturb_m=0.05, seed=1, costs=costs)
@@ -236,6 +237,7 @@ def test_without_noise_there_is_no_error(study: str) -> None:
         assert float(f.rms_3d_m) < limit and float(f.rms_2d_px) < 1e3 * limit, (f.poses, f.method, f.rms_3d_m, f.rms_2d_px)
 
 
+@pytest.mark.slow
 def test_triangulation_follows_the_noise_and_poses_the_disturbance() -> None:
     found = run_study(circle_world("wide", 0), (0.5, 1.0), 2, perturb_deg=1.0, perturb_m=0.05, seed=0, costs=())
     for method, _ in TRIANGULATIONS:

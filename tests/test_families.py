@@ -116,6 +116,7 @@ def matched(families: Families, axes: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("tolerance_deg", "noise_deg"), [(0.0, 0.5), (0.3, 0.3), (0.3, 0.05)])
+@pytest.mark.slow
 def test_three_families_and_their_uncertainty(tolerance_deg: float, noise_deg: float) -> None:
     """Chi-square of the true axes in the stated covariances, and of the angles, against their distributions."""
     rng = np.random.default_rng(int(100 * tolerance_deg + 10 * noise_deg))

@@ -90,6 +90,7 @@ def file_size_limit(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
+@pytest.mark.slow
 def test_a_limit_on_the_size_of_files_leaves_the_old_results(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before, command = RUNS["adjust"]
     # What the other command compiles is kept in files too, and these are larger.

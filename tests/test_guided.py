@@ -270,6 +270,7 @@ def test_corners_are_fitted_again_along_the_edges_that_the_camera_sees(spec: str
     assert len(rim_views(spec, "220")) == 2
 
 
+@pytest.mark.slow
 def test_bends_of_a_camera_correct_the_ends_of_a_board() -> None:
     """Boards in hand beside a lens of 200 degrees, beyond its rim: what the detection finds there is off by several sigma."""
     board, lens = pattern("charuco:7x5:60mm:45mm:DICT_4X4_50"), example_camera("double-sphere", 200.0, (480, 480), 0)
@@ -289,6 +290,7 @@ def test_bends_of_a_camera_correct_the_ends_of_a_board() -> None:
     assert np.sqrt((first**2).mean()) > 1.2 and np.sqrt((second**2).mean()) < 1.0
 
 
+@pytest.mark.slow
 def test_blurred_tags_beside_corners_do_not_draw_them() -> None:
     """Squares of 10 to 20 px, tags an eighth of a square from their sides, a blur of 0.7 px: the lens compresses squares towards
     its rim, so that what is dark beside a corner draws it inwards."""

@@ -87,6 +87,7 @@ def _of_quaternions(quaternions: torch.Tensor, translation: torch.Tensor) -> Pos
 
 
 @pytest.mark.parametrize("scale", [0.5, 1.3, 2.0])
+@pytest.mark.slow
 def test_the_calibration_of_another_camera_is_named(scale: float) -> None:
     segments, poses = scene(12, 5, seed=0)
     other = OpenCVFisheye([scale * 170.25, scale * 171.5, *LENS.parameters.tolist()[2:]], LENS.image_size)
@@ -103,6 +104,7 @@ def test_tracks_that_were_shuffled_are_refused(seed: int) -> None:
         judged(replace(segments, track=mixed), poses)
 
 
+@pytest.mark.slow
 def test_poses_of_other_axes_and_hands_are_named() -> None:
     segments, poses = scene(12, 5, seed=0)
     true = poses.cam_from_world
@@ -158,6 +160,7 @@ def test_photos_whose_names_were_exchanged_are_named_and_not_the_calibration(ref
     assert not any("of another photo" in one.limit for one in rough.advice)
 
 
+@pytest.mark.slow
 def test_observations_of_other_lines_are_told_with_the_option_that_leaves_them_out() -> None:
     segments, poses = scene(40, 8, seed=0)
     track = segments.track.copy()
@@ -174,6 +177,7 @@ def test_observations_of_other_lines_are_told_with_the_option_that_leaves_them_o
     assert every and not any("`robust`" in one.do for one in every)
 
 
+@pytest.mark.slow
 def test_a_photo_whose_pose_is_rough_is_named_with_how_far_its_segments_lie() -> None:
     segments, poses = scene(40, 8, seed=0)
     twists = torch.zeros(8, 6, dtype=torch.float64)

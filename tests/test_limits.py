@@ -51,6 +51,7 @@ def test_photos_without_use_are_named_where_they_are_many() -> None:
     assert one.do == "Shoot again: 0.png, 1.png, 2.png and 1 more."
 
 
+@pytest.mark.slow
 def test_what_to_do_about_photos_without_use_follows_from_their_reasons(tmp_path: Path) -> None:
     """Damaged files are copied again, not shot again; and the count is that of the views that are not used."""
     photos = ol.render("checkerboard:5x4:60mm", LENS, ol.RenderOptions(views=5, seed=3)).photos

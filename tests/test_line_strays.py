@@ -27,6 +27,7 @@ def test_strays_in_pixels_do_not_draw_at_the_focal_length() -> None:
     assert abs(float(done.model.parameters[0]) - 420.0) < 0.05 * sigma
 
 
+@pytest.mark.slow
 def test_residuals_follow_their_derivatives_by_the_camera() -> None:
     done = adjusted_camera(FISHEYE, true_chains(FISHEYE, 0, stray_rad=STRAY_RAD))
     problem, state = done.problem, done.state

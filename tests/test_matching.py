@@ -168,6 +168,7 @@ def shutters(seed: int) -> MatchingScene:
     return replace(whole, image=whole.image[seen], line=whole.line[seen], pixels=whole.pixels[seen])
 
 
+@pytest.mark.slow
 def test_lines_that_others_explain_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """Among equal edges arcs of several of them meet in lines that are not there, far fewer where it counts where arcs end."""
     wrong, right, explained = np.zeros(3, dtype=int), np.zeros(3, dtype=int), 0

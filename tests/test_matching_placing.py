@@ -113,6 +113,7 @@ def test_the_pose_scatters_as_its_arcs_do() -> None:
 
 
 @pytest.mark.parametrize("name", ONE_CAMERA)
+@pytest.mark.slow
 def test_a_photo_of_elsewhere_is_not_placed(name: str) -> None:
     found = matched(name, True)
     known = everything(found)

@@ -59,6 +59,7 @@ def test_arcs_that_err_more_than_they_state_ask_for_no_slack(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["fisheye", pytest.param("pinhole", marks=pytest.mark.full)])
+@pytest.mark.slow
 def test_poor_arcs_of_other_lines_do_not_widen_the_slack(name: str) -> None:
     """Half of the lines give precise arcs, the others pieces that are twice as noisy as they say, as texture does."""
     scene = room(name)

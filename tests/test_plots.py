@@ -76,6 +76,7 @@ def test_the_library_writes_the_figures_of_its_page(tmp_path: Path) -> None:
     assert not (tmp_path / "other.html").exists()
 
 
+@pytest.mark.slow
 def test_curves_lie_where_the_page_has_them(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((20, 30, 3), np.uint8))
     sections = every_section(tmp_path, [Polyline("a.png", np.array([[1.0, 1.0], [20.0, 10.0]]), "line", "model")])

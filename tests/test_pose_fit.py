@@ -23,6 +23,7 @@ def seen(points: np.ndarray, pose: Pose = TRUE) -> np.ndarray:
     return CAMERA.project(pose.transform(torch.as_tensor(points)))[0].numpy()
 
 
+@pytest.mark.slow
 def test_a_pose_from_pixels_is_the_least_squares_one_and_its_covariance_is_what_poses_scatter_by() -> None:
     rng = np.random.default_rng(0)
     points = board(rng)

@@ -171,6 +171,7 @@ def test_poses_and_points_are_refined_to_the_truth_up_to_what_bearings_leave_ope
 
 
 @pytest.mark.parametrize("rig", [False, True])
+@pytest.mark.slow
 def test_the_compiled_equations_are_those_of_automatic_derivatives_and_the_gauge_costs_nothing(rig):
     seen, frames, truth = scene(2e-3, rig)
     # In any order, some points seen by few: observations need not come by point.

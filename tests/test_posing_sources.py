@@ -148,6 +148,7 @@ def test_missing_photos_of_a_rig_follow_from_the_known_ones():
 
 
 @pytest.mark.parametrize("spec", ["charuco:8x6:40mm:30mm:DICT_5X5_100", "checkerboard:8x5:30mm"])
+@pytest.mark.slow
 def test_boards_give_the_poses_of_rendered_photos(spec):
     rendered = render_targets(spec, "scaramuzza", RenderOptions(fov_deg=200.0, views=3, size_px=(640, 480), seed=2))
     images = rendered.poses.images
@@ -170,6 +171,7 @@ def test_boards_give_the_poses_of_rendered_photos(spec):
     assert max(distance) < 6.0
 
 
+@pytest.mark.slow
 def test_boards_that_cannot_tell_their_ends_are_refused_and_photos_without_one_left_out():
     spec = "checkerboard:7x5:30mm"
     rendered = render_targets(spec, "opencv-fisheye", RenderOptions(fov_deg=150.0, views=2, size_px=(640, 480), seed=1))
@@ -189,6 +191,7 @@ def test_boards_that_cannot_tell_their_ends_are_refused_and_photos_without_one_l
         )
 
 
+@pytest.mark.slow
 def test_a_board_that_is_printed_otherwise_than_given_gives_poses_as_it_gives_cameras() -> None:
     """White on black: `calibrate` took the board for what it is, and found the same photos to show none."""
     spec = "charuco:6x5:40mm:30mm:DICT_5X5_100"

@@ -149,6 +149,7 @@ def test_robust_names_the_wrong_observations(tmp_path, capsys):
     assert robust < 0.01
 
 
+@pytest.mark.slow
 def test_a_prior_anchors_the_poses(tmp_path, capsys):
     scene = RigScene(frames=10, lines=50)
     write_scene(tmp_path, scene, poses=disturbed(scene.cam_from_world, 0.05, 0.002), rig=False)

@@ -53,6 +53,7 @@ def test_grey_levels_are_areas() -> None:
     assert np.abs(image - expected)[on_board].max() <= 0.5 + 1e-6  # rounding to whole grey levels
 
 
+@pytest.mark.slow
 def test_anti_aliasing_has_converged() -> None:
     """The default sampling agrees with a far finer one on a strongly tilted board at the rim."""
     pose = random_board_poses(BOARD, FISHEYE, 1, math.radians(85.0), seed=5)[0]

@@ -242,6 +242,7 @@ def test_gross_errors_are_rejected_and_views_too_small_alone_are_used():
 
 
 @pytest.mark.parametrize("factors", [(1.0, 5.0), (5.0, 1.0), (1.0, 0.2)])
+@pytest.mark.slow
 def test_what_one_camera_states_wrongly_spoils_no_corners_of_another(factors: tuple[float, float]) -> None:
     """One scale for all cameras rejected a fifth of the good corners beside one whose noise is stated five times too large."""
     rig = pair(30)

@@ -145,6 +145,7 @@ def test_a_camera_out_of_runs_is_named_and_the_others_are_compared() -> None:
 
 
 @pytest.mark.parametrize("offset_s", [0.05, pytest.param(-0.05, marks=pytest.mark.full)])
+@pytest.mark.slow
 def test_offsets_beyond_a_frame_are_found_and_keep_the_views(offset_s: float) -> None:
     """One and a half gaps between frames: no two frames of one name agree on where the cameras stand."""
     corners = noisy(seen_freely(HandMotion(2), (0.0, offset_s), runs=8), NOISE_PX, 1)
@@ -157,6 +158,7 @@ def test_offsets_beyond_a_frame_are_found_and_keep_the_views(offset_s: float) ->
     assert not result.against_alone.notes
 
 
+@pytest.mark.slow
 def test_the_search_begins_within_a_step_of_the_offset() -> None:
     offsets_s = {"cam0": 0.0, "cam1": 0.041, "cam2": -0.027}
     models = (*MODELS, FISHEYE_220)

@@ -45,6 +45,7 @@ def cause(result: RigCalibration) -> str:
     return found[0] if found else ""
 
 
+@pytest.mark.slow
 def test_a_bent_board_is_named_and_its_surface_found() -> None:
     rig, shape = pair(20), bent()
     corners = seen(rig, shape, 0.0, 1)

@@ -21,6 +21,7 @@ def named(found: RigCalibration) -> list[str]:
     return [member.name for member in found.members if member.misfit is not None]
 
 
+@pytest.mark.slow
 def test_a_model_that_does_not_follow_the_lens_of_one_camera_is_named() -> None:
     others = setups(RIG)
     found = calibrate_rig(CORNERS, others | {"cam1": replace(others["cam1"], model="pinhole", options={})})

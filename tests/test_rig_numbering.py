@@ -171,6 +171,7 @@ def test_side_of_a_mirror_follows_from_the_rig(mirrored_numbers):
     assert all(result.member(name).sign_source is None for name in ("cam0", "cam1"))
 
 
+@pytest.mark.slow
 def test_side_of_a_lens_follows_from_the_rig():
     """A lens with a polynomial beside one of known side keeps a0 > 0; where all are polynomials, their common side is assumed."""
     lens = Scaramuzza([512.0, 500.0, 1.0, 0.0, 0.0, 250.0, -1.4e-3, 0.0, -1.2e-9], (1020, 1000))

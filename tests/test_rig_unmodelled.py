@@ -43,6 +43,7 @@ def seen(
     return replace(corners, pixels=pixels + noise_px * np.random.default_rng(0).standard_normal(pixels.shape))
 
 
+@pytest.mark.slow
 def test_a_bend_is_told_by_all_cameras() -> None:
     rig = pair(24, seed=1)
     found = calibrate_rig(seen(rig, 0.05, bend_m=1e-3), setups(rig))

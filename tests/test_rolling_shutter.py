@@ -100,6 +100,7 @@ def by_definition(problem: RigProblem, state: RigState, step: torch.Tensor) -> t
     return ((found - points.pixels) * points.weight[:, None]).flatten()
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_automatic_differentiation() -> None:
     problem, state = problem_with_rows()
     k, count, size = problem.structure.kept_size, 2, problem.structure.dim

@@ -94,6 +94,7 @@ def test_tags_of_an_aprilgrid_that_lie_otherwise_are_said_to(way: tuple[int, int
     assert said is not None and said.startswith("The photos show its tags turned, or numbered in another order")
 
 
+@pytest.mark.slow
 def test_a_wrong_layout_is_said_before_what_geometry_says_of_it() -> None:
     """Some tags of another layout agree with the one given: their corners leave any camera open."""
     asked = NEGATIVE.replace("4x5", "6x7")
@@ -109,6 +110,7 @@ def test_a_wrong_layout_is_said_before_what_geometry_says_of_it() -> None:
 @pytest.mark.parametrize(
     "asked", ["charuco:4x5:54mm:40.5mm:DICT_4X4_1000:start=20", "charuco:4x6:54mm:40.5mm:DICT_4X4_50:legacy"]
 )
+@pytest.mark.slow
 def test_tags_that_are_numbered_otherwise_are_no_other_board(asked: str) -> None:
     photos = {f"{k}.png": photo(asked, k) for k in range(4)}
     with pytest.raises(OmnilinesError) as refused:

@@ -116,6 +116,7 @@ def test_blur_of_each_edge_is_the_motion_across_it(specification: str, roll_deg:
 
 
 @pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.slow
 def test_sharp_photos_of_a_set_are_not_named(lens: str) -> None:
     assert remarks(list(sharp(lens))) == (None,) * PHOTOS
 
