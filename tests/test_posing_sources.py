@@ -10,12 +10,14 @@ from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, GeometryError, InputError, OpenCVFisheye
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
+from omnilines.pipelines.instant_names import instants
+from omnilines.pipelines.pose_tables import unit_of_poses, unpaired_note
 from omnilines.pipelines.render import RenderOptions, render_targets
 from omnilines.posing.from_boards import is_mirrored, poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_rig import complete_from_rig, poses_from_rig
 from omnilines.posing.photo_poses import align_to, moved_poses
-from omnilines.records import ImagePoses
+from omnilines.records import ImagePoses, LengthUnit
 from omnilines.scenes import scene_camera
 
 CAMERA = OpenCVFisheye([300.0, 302.0, 319.5, 239.5, 0.01, -0.004, 0.002, 0.0], (640, 480))
@@ -127,6 +129,35 @@ def test_one_instant_of_a_rig_has_the_poses_of_its_cameras():
         poses_from_rig(calibration, photos, dict.fromkeys(photos, "left"), dict.fromkeys(photos, "1"))
     with pytest.raises(InputError, match="calibration with a rig"):
         poses_from_rig(Calibration({"left": CAMERA}), photos, dict.fromkeys(photos, "left"), dict.fromkeys(photos, "1"))
+
+
+@pytest.mark.parametrize(
+    ("photos", "named"),
+    [
+        (["left/1.png", "right/1.png", "left/2.png"], ["1", "1", "2"]),
+        (["left/left1.jpg", "right/right1.jpg", "left/left2.jpg"], ["1", "1", "2"]),
+        (["room/left/1.png", "room/right/1.png"], ["1", "1"]),
+        (["a/left/1.png", "a/right/1.png", "b/left/1.png"], ["a/1", "a/1", "b/1"]),
+        (["left/data/1.png", "right/images/1.png"], ["1", "1"]),
+        (["left/left.png", "right/right.png"], ["left", "right"]),
+    ],
+)
+def test_instants_of_a_rig_are_told_by_names(photos: list[str], named: list[str]) -> None:
+    """Those of left/left1.jpg and right/right1.jpg were two, though `calibrate` takes them for one; those of two walks were one."""
+    camera_of = {photo: "right" if "right/" in photo else "left" for photo in photos}
+    assert list(instants(photos, camera_of).values()) == named
+
+
+def test_a_rig_whose_photos_share_no_instant_gives_no_metres() -> None:
+    """They were called metres, of a scale that nothing tells."""
+    calibration = rig_calibration()
+    alone = {"left/L1.png": "left", "left/L2.png": "left", "right/R1.png": "right"}
+    assert unit_of_poses("sfm", calibration, alone) is LengthUnit.OPEN
+    assert "as left/L1.png and right/R1.png have not" in unpaired_note(calibration, alone)[0]
+    together = {"left/left1.png": "left", "left/left2.png": "left", "right/right1.png": "right"}
+    assert unit_of_poses("sfm", calibration, together) is LengthUnit.METRES
+    assert not unpaired_note(calibration, together)
+    assert not unpaired_note(calibration, {"left/1.png": "left", "left/2.png": "left"})
 
 
 def test_missing_photos_of_a_rig_follow_from_the_known_ones():

@@ -20,10 +20,10 @@ from omnilines.matching.match import Matched
 from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.shared_directions import turned_poses
 from omnilines.matching.slack import Evidence, evidence_of_poses, lines_need_poses
+from omnilines.pipelines.instant_names import instants
 from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs
-from omnilines.pipelines.pose_tables import instants
 from omnilines.posing.from_rig import cam_from_rig_of
 from omnilines.posing.photo_poses import PhotoPoses, align_to, image_poses
 from omnilines.progress import ProgressCallback, on_all_cores
@@ -175,8 +175,15 @@ def _lost_bodies(found: Sequence[FoundArcs], poses: ImagePoses) -> list[list[Fou
     lost = [arcs for arcs in found if len(arcs) and arcs.reason is None and arcs.photo.name not in poses.images]
     if poses.frames is None:
         return [[arcs] for arcs in lost]
-    instant = instants([arcs.photo.name for arcs in lost])
-    return [[arcs for arcs in lost if instant[arcs.photo.name] == one] for one in dict.fromkeys(instant.values())]
+    instant = _instants(found)
+    return [
+        [arcs for arcs in lost if instant[arcs.photo.name] == one]
+        for one in dict.fromkeys(instant[arcs.photo.name] for arcs in lost)
+    ]
+
+
+def _instants(found: Sequence[FoundArcs]) -> dict[str, str]:
+    return instants([arcs.photo.name for arcs in found], {arcs.photo.name: arcs.camera for arcs in found})
 
 
 def _with_moved(
@@ -198,6 +205,6 @@ def _with_moved(
     camera_of = {arcs.photo.name: arcs.camera for arcs in found}
     frames = None
     if poses.frames is not None:
-        frame_of = {**instants(list(whole)), **dict(zip(poses.images, poses.frames, strict=True))}
+        frame_of = {**_instants(found), **dict(zip(poses.images, poses.frames, strict=True))}
         frames = [frame_of[name] for name in whole]
     return image_poses(list(whole), list(whole.values()), [camera_of[name] for name in whole], frames)

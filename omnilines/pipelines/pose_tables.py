@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -12,6 +12,7 @@ from camera_models.errors import OmnilinesError
 from camera_models.wording import listed
 from omnilines.files import is_corners_table, read_corners, read_poses
 from omnilines.files.scene_folder import UNIT_KEY, stated_up
+from omnilines.pipelines.instant_names import instants
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rig import complete_from_rig
 from omnilines.posing.options import PosingOptions
@@ -19,10 +20,8 @@ from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.tools import pose_file_of
 from omnilines.records import ImagePoses, LengthUnit
 
-
-def instants(names: Sequence[str]) -> dict[str, str]:
-    """The instant of each photo of a rig: photos of one file name are of one."""
-    return {name: PurePosixPath(name).stem for name in names}
+SAME_PLACE_M = 1e-9
+"""Cameras of a rig that are no farther apart give no scale."""
 
 
 def named_cameras(source: str) -> dict[str, str]:
@@ -68,7 +67,7 @@ def given_poses(
     poses = replace(table, images=images, cam_from_world=table.cam_from_world[known], cameras=names_of, frames=frames)
     notes = _of_other_cameras(table, camera_of, Path(path).name)
     if cameras.rig and frames is not None:
-        whole = {**instants(names), **dict(zip(images, frames, strict=True))}
+        whole = {**instants(names, camera_of), **dict(zip(images, frames, strict=True))}
         return replace(complete_from_rig(cameras, poses, names, camera_of, whole, options=options.given), notes=notes)
     lost = {name: f"{name} has no pose: it is not in {Path(path).name}." for name in names if name not in images}
     return PhotoPoses(poses, lost, notes)
@@ -90,14 +89,38 @@ def _of_other_cameras(table: ImagePoses, camera_of: Mapping[str, str], path: str
 def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> LengthUnit:
     """What the poses of a source are in, before they are known.
 
-    A rig whose cameras stand apart gives metres, and a board does; of a file and a COLMAP model as `unit_of_file`.
+    A rig gives metres where cameras that stand apart show one instant, and a board does; of a file and a COLMAP model as
+    `unit_of_file`.
     """
     if source == "sfm":
-        names = set(camera_of.values())
-        centres = torch.stack([cameras.rig[name].cam_from_rig.centre for name in names]) if cameras.rig else torch.zeros(1, 3)
-        return LengthUnit.METRES if bool(((centres - centres[:1]).norm(dim=-1) > 1e-9).any()) else LengthUnit.OPEN
+        return LengthUnit.METRES if cameras.rig and _seen_from_apart(cameras, camera_of) else LengthUnit.OPEN
     path = Path(source)
     return unit_of_file(path) if path.exists() else LengthUnit.METRES
+
+
+def _seen_from_apart(cameras: Calibration, camera_of: Mapping[str, str]) -> bool:
+    """Whether cameras of a rig that stand apart show one instant."""
+    centre = {name: cameras.rig[name].cam_from_rig.centre for name in set(camera_of.values())}
+    first: dict[str, torch.Tensor] = {}
+    for photo, instant in instants(list(camera_of), camera_of).items():
+        own = centre[camera_of[photo]]
+        if bool((own - first.setdefault(instant, own)).norm() > SAME_PLACE_M):
+            return True
+    return False
+
+
+def unpaired_note(cameras: Calibration, camera_of: Mapping[str, str]) -> tuple[str, ...]:
+    """Where several cameras of a rig took photos, and none of these are of one instant by their names."""
+    of_instants = instants(list(camera_of), camera_of)
+    if not cameras.rig or len(set(camera_of.values())) < 2 or len(set(of_instants.values())) < len(of_instants):
+        return ()
+    first = next(iter(camera_of))
+    other = next(photo for photo, camera in camera_of.items() if camera != camera_of[first])
+    return (
+        f"No two cameras of the rig have a photo of one name, as {first} and {other} have not: they count as taken one after the "
+        "other, and the rig tells nothing of where they were taken. Give those of one instant one name in the folders of their "
+        "cameras.",
+    )
 
 
 def unit_of_file(poses: Path) -> LengthUnit:

@@ -24,8 +24,9 @@ from omnilines.files.masks import looked_at, mask_files
 from omnilines.options import require_ranges
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import is_copy, without_copies
+from omnilines.pipelines.instant_names import instants
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs, require_cameras_of
-from omnilines.pipelines.pose_tables import from_table, instants, named_cameras, unit_of_poses, up_of_file
+from omnilines.pipelines.pose_tables import from_table, named_cameras, unit_of_poses, unpaired_note, up_of_file
 from omnilines.pipelines.recognise import as_printed
 from omnilines.posing.find_rectangle import BearingArcs
 from omnilines.posing.from_boards import is_mirrored, poses_from_boards
@@ -145,6 +146,8 @@ def estimate_poses(
     kind = kind_of(source)
     if kind == "tool":  # its file was read with its unit and what is up
         return replace(found, source=kind)
+    if kind == "sfm":
+        found = replace(found, notes=(*found.notes, *unpaired_note(cameras, camera_of)))
     up = None if from_photos(source) else up_of_file(Path(source))
     return replace(found, source=kind, unit=unit_of_poses(source, cameras, camera_of), up=up)
 
@@ -207,7 +210,7 @@ def _looked_for(asked: _Asked, work: Path, progress: ProgressCallback) -> PhotoP
         return photo_of[name].read()
 
     if asked.source == "sfm":
-        frames = instants(names) if cameras.rig else None
+        frames = instants(names, camera_of) if cameras.rig else None
         return sfm_poses(
             names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed, options=options,
             mask_of=lambda name: looked_at(photo_of[name], cameras[camera_of[name]].image_size),
@@ -220,7 +223,7 @@ def _looked_for(asked: _Asked, work: Path, progress: ProgressCallback) -> PhotoP
         found = poses_from_boards(names, read, cameras, camera_of, target, progress=progress, options=options)
         return found if otherwise is None else replace(found, notes=(otherwise, *found.notes))
     if asked.source == "rig":
-        return poses_from_rig(cameras, names, camera_of, instants(names))
+        return poses_from_rig(cameras, names, camera_of, instants(names, camera_of))
     assert asked.arcs is not None
     arcs_of = {found.photo.name: found for found in asked.arcs.photos}
     return poses_from_rectangles(
@@ -249,7 +252,7 @@ def _without_photos(
 ) -> PhotoPoses:
     """Poses from a source that does not look into the photos."""
     if source == "rig":
-        return poses_from_rig(cameras, names, camera_of, instants(names))
+        return poses_from_rig(cameras, names, camera_of, instants(names, camera_of))
     if Path(source).is_dir():
         return poses_from_colmap(source, names, camera_of)
     if not Path(source).is_file():

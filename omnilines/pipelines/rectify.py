@@ -26,8 +26,8 @@ from omnilines.files.photos import READ_BYTES_PER_PIXEL
 from omnilines.options import require_ranges
 from omnilines.photo_size import wrong_size
 from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos, none_usable
+from omnilines.pipelines.instant_names import instants
 from omnilines.pipelines.rectified import Grids, OneView, RectifiedViews, cam_from_axis, view_from_camera
-from omnilines.pipelines.rig_corners import frame_of
 from omnilines.pipelines.upright import Level, Levels, levels_of
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, on_all_cores, silent
@@ -145,9 +145,9 @@ def _levelled(target: View, level: Level | None) -> View:
 def _instants(photos: Sequence[Photo], camera_of: Mapping[str, str]) -> dict[str, dict[str, Photo]]:
     """The photos of a rig by instant and camera. Raises InputError where a camera has two of one instant."""
     found: dict[str, dict[str, Photo]] = {}
+    instant = instants([photo.name for photo in photos], camera_of)
     for photo in photos:
-        path = PurePosixPath(photo.name)
-        own = found.setdefault(frame_of(path) if len(path.parts) > 1 else path.stem, {})
+        own = found.setdefault(instant[photo.name], {})
         if (camera := camera_of[photo.name]) in own:
             raise InputError(
                 f"One photo of camera {camera} was expected an instant, found {own[camera].name} and {photo.name}; rename it."

@@ -1,6 +1,5 @@
 """The corners of targets in photos of several cameras: what `detect_rig` returns, also made of a table."""
 
-import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +15,7 @@ from camera_models.wording import listed
 from omnilines.calibration.numbering import Numbering
 from omnilines.files import write_corners
 from omnilines.files.sets import claimed
+from omnilines.pipelines.instant_names import frame_of
 from omnilines.pipelines.photo_corners import CORNERS, IN_MEMORY, PhotoCorners, require_once
 from omnilines.records import Corners, ViewResult
 
@@ -135,16 +135,3 @@ def _frames(corners: Corners, cameras: Sequence[str]) -> tuple[str, ...]:
     common = max(Counter(name for _, name in seen).values()) > 1
     names = [PurePosixPath(image) for image in corners.images]
     return corners.view_names if common else tuple(frame_of(n) if len(n.parts) > 1 else n.stem for n in names)
-
-
-def frame_of(name: PurePosixPath) -> str:
-    """The instant of a photo: its path within its camera's folder, if it is in one, without the ending; where the file's name
-    begins or ends with that of the folder (left/left01.png), without that."""
-    if len(name.parts) < 2:
-        return name.stem
-    camera, inside = name.parts[0], PurePosixPath(*name.parts[1:])
-    stem = inside.stem
-    if re.search("[a-zA-Z]", camera):
-        own = re.escape(camera)
-        stem = re.sub(rf"^{own}[-_. ]*(?=.)|(?<=.)[-_. ]*{own}$", "", stem, count=1, flags=re.IGNORECASE)
-    return (inside.parent / stem).as_posix()
