@@ -143,7 +143,7 @@ def test_one_instant_of_a_rig_has_the_poses_of_its_cameras():
     ],
 )
 def test_instants_of_a_rig_are_told_by_names(photos: list[str], named: list[str]) -> None:
-    """Those of left/left1.jpg and right/right1.jpg were two, though `calibrate` takes them for one; those of two walks were one."""
+    """Those of left/left1.jpg and right/right1.jpg were two, though `calibrate` takes them for one; two walks were one."""
     camera_of = {photo: "right" if "right/" in photo else "left" for photo in photos}
     assert list(instants(photos, camera_of).values()) == named
 

@@ -1,10 +1,12 @@
 """The commands on the arcs of photos: extract, directions, check."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from camera_models.errors import InputError
 from omnilines.cli._shared import Cluster, Json, MaskOf, Out, Plots, Settings, SplitInto, app, run
 
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ def extract(
     as_json: Json = False,
 ) -> None:
     """Find arcs of straight lines, 25 px and longer, in photos -> segments.csv and pictures."""
+    from omnilines.commands.camera_videos import cameras_of_videos
     from omnilines.commands.cluster import workers
     from omnilines.commands.extract import extract as command
     from omnilines.commands.frames import with_frames
@@ -48,7 +51,7 @@ def extract(
                 lambda paths: command(
                     paths, calibration, out, mask=mask, options=options, executor=executor, progress=progress
                 ),
-                photos, out, split=split, progress=progress,
+                photos, out, check=partial(cameras_of_videos, calibration), split=split, progress=progress,
             )  # fmt: skip
 
     run(extracted, as_json, kept=out / "work")
@@ -75,6 +78,7 @@ def directions(
     as_json: Json = False,
 ) -> None:
     """Find the directions in which the lines of each photo meet -> directions.csv, rotations where asked for, pictures."""
+    from omnilines.commands.camera_videos import cameras_of_videos
     from omnilines.commands.directions import directions as command
     from omnilines.commands.frames import with_frames
 
@@ -87,7 +91,7 @@ def directions(
                 paths, calibration, out, orthogonal=orthogonal, vertical=vertical, mask=mask, extraction=extraction,
                 options=options, progress=progress,
             ),
-            photos, out, split=split, progress=progress,
+            photos, out, check=partial(cameras_of_videos, calibration), split=split, progress=progress,
         )  # fmt: skip
 
     run(found, as_json, kept=out / "work", plots=plots, photos=photos)
@@ -114,13 +118,28 @@ def check(
     as_json: Json = False,
 ) -> None:
     """Is a calibration still right? Straight lines in photos of anything tell; exit status 1 where they contradict it."""
+    from omnilines.commands.camera_videos import cameras_of_videos
     from omnilines.commands.check import check as command
+    from omnilines.commands.frames import with_frames
+    from omnilines.files.videos import find_videos
     from omnilines.options import with_settings
     from omnilines.pipelines.check_options import CheckOptions
 
     options = with_settings(CheckOptions(), settings or (), "check.")
+
+    def checked(progress: "ProgressCallback") -> "CommandResult":
+        """What these options ask for."""
+        if out is not None:
+            return with_frames(
+                lambda paths: command(paths, calibration, out, mask=mask, options=options, progress=progress),
+                photos, out, check=partial(cameras_of_videos, calibration), progress=progress,
+            )  # fmt: skip
+        if find_videos(photos):
+            raise InputError(f"`out` was expected beside {photos[0]}, for the frames of the video; give a folder.")
+        return command(photos, calibration, mask=mask, options=options, progress=progress)
+
     run(
-        lambda progress: command(photos, calibration, out, mask=mask, options=options, progress=progress),
+        checked,
         as_json,
         kept=None if out is None else out / "work",
     )

@@ -153,7 +153,7 @@ def reconstruct(
         )
     from omnilines.commands.cluster import workers
     from omnilines.commands.frames import with_frames
-    from omnilines.commands.reconstruct import reconstruct_photos
+    from omnilines.commands.reconstruct import check_videos, reconstruct_photos
 
     of_photos = bool(photos)
     extraction, options = _options(
@@ -186,6 +186,9 @@ def reconstruct(
                     recording=recording, executor=executor, progress=progress,
                 ),
                 photos or [], out, split=split, progress=progress,
+                check=lambda sizes: check_videos(
+                    sizes, calibration, poses, options, pattern=pattern, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m,
+                ),
             )  # fmt: skip
 
     run(reconstructed, as_json, kept=out / "work", plots=plots, photos=photos or [])

@@ -63,7 +63,9 @@ def scene(
 
 @app.command()
 def rectify(
-    photos: Annotated[list[Path], typer.Argument(help="Photos, or folders of photos.", show_default=False)],
+    photos: Annotated[
+        list[Path], typer.Argument(help="Photos, folders of photos, a video, or a bag (BAG:/topic).", show_default=False)
+    ],
     calibration: Annotated[
         Path, typer.Option("--calibration", help="calibration.yaml; of panoramas equirectangular.", show_default=False)
     ],
@@ -91,6 +93,7 @@ def rectify(
 ) -> None:
     """Perspective, cylindrical, panoramic or cube views of photos, with their calibration and poses; a rig is one camera."""
     from omnilines.commands.frames import with_frames
+    from omnilines.commands.rectify import check_videos
     from omnilines.commands.rectify import rectify as command
 
     extraction, options = arcs_and_directions(settings)
@@ -104,7 +107,16 @@ def rectify(
         )  # fmt: skip
 
     run(
-        lambda progress: with_frames(lambda paths: views_of(paths, progress), photos, out, split=split, progress=progress),
+        lambda progress: with_frames(
+            lambda paths: views_of(paths, progress),
+            photos,
+            out,
+            check=lambda sizes: check_videos(
+                sizes, calibration, view, size=image_size, fov_deg=fov_deg, yaw_deg=yaw_deg, pitch_deg=pitch_deg
+            ),
+            split=split,
+            progress=progress,
+        ),
         as_json,
         kept=out / "work",
     )

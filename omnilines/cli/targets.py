@@ -1,5 +1,6 @@
 """Commands on calibration targets: pattern, frames, detect, render targets."""
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -62,6 +63,7 @@ def detect(
     """Find target corners in photos -> corners.csv."""
     from calib_patterns import DetectionOptions
     from omnilines.commands.cluster import workers
+    from omnilines.commands.detect import camera_of_video
     from omnilines.commands.detect import detect as command
     from omnilines.commands.frames import with_frames
 
@@ -75,7 +77,8 @@ def detect(
                     paths, pattern, out, calibration=calibration, mirror=mirror, options=options, executor=executor,
                     progress=progress,
                 ),
-                photos, out, pattern, mirror=mirror, detection=options, progress=progress,
+                photos, out, pattern, check=partial(camera_of_video, calibration), mirror=mirror, detection=options,
+                progress=progress,
             )  # fmt: skip
 
     run(detected, as_json, kept=out / "work")

@@ -11,6 +11,7 @@ from omnilines.calibration.options import CalibrationOptions
 from omnilines.commands.calibrate import calibrate_corners, calibrate_photos
 from omnilines.commands.calibrate_lines import calibrate_line_photos
 from omnilines.commands.calibrate_rig import calibrate_rig_corners, calibrate_rig_photos
+from omnilines.commands.camera_videos import Sizes
 from omnilines.commands.frames import with_frames
 from omnilines.commands.result import CommandResult
 from omnilines.footage.options import FrameOptions
@@ -113,11 +114,13 @@ def calibrate_inputs(
     frames = replace(frames, follow=frames.follow or options.rolling_shutter)
     patterns = list(given.targets)
 
-    def from_frames(command: Callable[[list[Path]], CommandResult], target: str | None) -> CommandResult:
+    def from_frames(
+        command: Callable[[list[Path]], CommandResult], target: str | None, check: Callable[[Sizes], None]
+    ) -> CommandResult:
         """On the frames of videos, where photos are videos."""
         return with_frames(
-            command, given.photos, out, target, split=given.split, mirror=options.mirror, detection=detection, options=frames,
-            progress=progress,
+            command, given.photos, out, target, check=check, split=given.split, mirror=options.mirror, detection=detection,
+            options=frames, progress=progress,
         )  # fmt: skip
 
     if given.rig:
@@ -139,14 +142,20 @@ def calibrate_inputs(
                 progress=progress,
             ),
             given.pattern,
+            lambda sizes: setup.require(sizes if given.several_cameras else {CAMERA: next(iter(sizes.values()))}),
         )
     options = replace(options, model=given.models.get("", options.model))
+
+    def require_model(_: Sizes) -> None:
+        options.require_of_models([options.model])
+
     if given.lines:
         return from_frames(
             lambda paths: calibrate_line_photos(
                 paths, given.pattern or "", out, options, lines, mask=given.mask, detection=detection, progress=progress
             ),
             None,
+            require_model,
         )
     if given.table is not None:
         return calibrate_corners(given.table, given.image_sizes[""], out, options, progress=progress)
@@ -155,4 +164,5 @@ def calibrate_inputs(
             paths, given.pattern or "", out, options, detection=detection, executor=executor, progress=progress
         ),
         given.pattern or "",
+        require_model,
     )

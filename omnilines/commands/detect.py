@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from calib_patterns import DetectionOptions
-from camera_models import CameraModel, InputError
+from camera_models import Calibration, CameraModel, InputError
 from camera_models.wording import listed
+from omnilines.commands.camera_videos import Sizes, cameras_of_videos
 from omnilines.commands.result import CommandResult
 from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.folders import WORK, check_results, check_work_folder
@@ -68,6 +69,14 @@ def detect(
     mirrored = ("--mirror",) if found.mirrored else ()
     then = ("calibrate", str(files[0]), "--image-size", size, *mirrored, "--out", "result")
     return CommandResult((summary,), data, files=files, warnings=found.notes, details=skipped, photos=given, then=then)
+
+
+def camera_of_video(calibration: Path | None, sizes: Sizes) -> Calibration | None:
+    """As `cameras_of_videos`, of the one camera that `detect` goes by, where it is given one."""
+    if calibration is None:
+        return None
+    _one_camera(calibration)
+    return cameras_of_videos(calibration, sizes)
 
 
 def _one_camera(calibration: Path) -> CameraModel:

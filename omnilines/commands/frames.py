@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
 from calib_patterns import DetectionOptions
-from camera_models import InputError
+from camera_models import Calibration, InputError
+from omnilines.commands.camera_videos import Sizes
 from omnilines.commands.result import CommandResult
 from omnilines.files import PhotoRef, find_photos, write_png
 from omnilines.files.folders import WORK, alone_in, check_output_folder, check_results, check_work_folder, way_out
@@ -19,6 +20,7 @@ from omnilines.files.videos import find_videos, open_videos
 from omnilines.footage.options import FrameOptions
 from omnilines.pipelines.chosen_frames import ChosenFrames
 from omnilines.pipelines.frames import frames as pipeline
+from omnilines.pipelines.instants import lenses_of
 from omnilines.pipelines.recognise import OTHERWISE
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Summary
@@ -68,6 +70,7 @@ def with_frames(
     out: Path,
     pattern_spec: str | None = None,
     *,
+    check: Callable[[Sizes], Calibration | None] = lambda _: None,
     split: str | None = None,
     mirror: bool = False,
     detection: DetectionOptions = DetectionOptions(),
@@ -75,7 +78,11 @@ def with_frames(
     progress: ProgressCallback = silent,
 ) -> CommandResult:
     """The result of a command on photos; where videos are given, on their frames, which are written to `out/frames`, and with
-    `split` on what each lens sees of the photos, written there too."""
+    `split` on what each lens sees of the photos, written there too.
+
+    `check` is asked before any frame is read: it refuses videos, and options, by the width and height that each camera sees, and
+    returns the calibration that the command goes by. Of one video of a calibrated rig the frames lie in a folder of its camera.
+    """
     folder = out / FOLDER
     check_output_folder(out)
     if (why := way_out(out, f"{FOLDER}/{TABLE}")) is not None:
@@ -87,7 +94,11 @@ def with_frames(
         with withdrawn_where_refused(folder), alone_in(out / WORK):
             _cut(paths, photos, folder, lenses, progress)
             return command([folder])
-    open_videos(paths)  # refused before anything is made
+    # What the command would refuse is refused before anything is made.
+    seen = {lens.name: lens.image_size for lens in lenses_of(open_videos(paths), None if split is None else Split.of(split))}
+    cameras = check(seen)
+    if len(seen) == 1 and cameras is not None and len(cameras) > 1:
+        folder = folder / next(iter(seen))
     # Another run would put its frames in the place of those that are about to be read.
     with withdrawn_where_refused(folder), alone_in(out / WORK):
         made = frames(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from camera_models import Calibration, InputError
 from omnilines.adjustment.arcs import cameras_of_images
+from omnilines.commands.camera_videos import Sizes, cameras_of_videos
 from omnilines.commands.result import CommandResult
 from omnilines.commands.resume import Stamp
 from omnilines.extraction import ExtractionOptions
@@ -35,7 +36,7 @@ from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
 from omnilines.pipelines.pose_tables import named_cameras, unit_of_file, unit_of_poses, up_of_file
-from omnilines.pipelines.poses import check_source, estimate_poses, from_photos
+from omnilines.pipelines.poses import check_source, estimate_poses, from_photos, require_source
 from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
 from omnilines.posing.from_colmap import poses_from_colmap
@@ -142,6 +143,24 @@ def reconstruct_photos(
     if result.holds:
         stamp.write(result)
     return result
+
+
+def check_videos(
+    sizes: Sizes,
+    calibration: Path,
+    poses: str,
+    options: SceneOptions,
+    *,
+    pattern: str | None = None,
+    pose_sigma_deg: float | None = None,
+    pose_sigma_m: float | None = None,
+) -> Calibration:
+    """The calibration of videos; refuses, before any frame of them is read, what `reconstruct_photos` refuses of their frames.
+    Raises InputError."""
+    cameras = cameras_of_videos(calibration, sizes)
+    require_source(poses, pattern)
+    check_options(options, cameras, _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine))
+    return cameras
 
 
 def reconstruct_segments(

@@ -8,7 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from camera_models import Calibration
+from camera_models.views import views
 from camera_models.wording import listed, rounded
+from omnilines.commands.camera_videos import Sizes, cameras_of_videos
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
 from omnilines.files import find_photos, read_poses
@@ -73,6 +76,21 @@ def rectify(
     with claimed(folder, made.names_in(folder), read, by="rectify", kept=made.views_that_stay(folder)):
         result = _result(made, made.save(folder, progress), folder)
     return replace(result, details=made.left_out, photos=len(refs))
+
+
+def check_videos(
+    sizes: Sizes,
+    calibration: str | Path,
+    view: str,
+    *,
+    size: tuple[int, int] | None,
+    fov_deg: float | None,
+    yaw_deg: float,
+    pitch_deg: float,
+) -> Calibration:
+    """The calibration of videos; refuses a view that is none before any frame of them is read. Raises InputError."""
+    views(view, size, fov_deg, yaw_deg, pitch_deg)
+    return cameras_of_videos(calibration, sizes)
 
 
 def _result(made: RectifiedViews, files: tuple[Path, ...], folder: Path) -> CommandResult:

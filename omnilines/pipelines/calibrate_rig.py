@@ -102,6 +102,11 @@ class RigSetup:
                 "moving."
             )
 
+    def require(self, image_sizes: Mapping[str, tuple[int, int]]) -> None:
+        """Raises InputError where cameras of these sizes, whose photos are still to be read, cannot give what is asked for."""
+        self.require_photos()
+        self.cameras(image_sizes)
+
     def cameras(self, image_sizes: Mapping[str, tuple[int, int]]) -> dict[str, CameraSetup]:
         """Camera by camera. Raises InputError where a name or an image size does not fit."""
         self.require_cameras(tuple(image_sizes))

@@ -71,20 +71,31 @@ def check_source(
 
     Raises InputError where the source is none of those there or does not fit the photos.
     """
+    require_source(source, pattern, body)
+    if source == "sfm":
+        if len(photos) < LEAST_PHOTOS:
+            raise InputError(f"`poses` sfm was expected with {LEAST_PHOTOS} photos or more, found {len(photos)}; give more.")
+    elif source == "rig" or not from_photos(source):
+        _without_photos(source, [photo.name for photo in photos], cameras, camera_of, body)
+
+
+def require_source(source: str, pattern: str | None, body: Path | None = None) -> None:
+    """Raises InputError where a source of poses is none, whatever the photos: no name of one, no path, or a malformed target; and
+    where `body` is given with one that is no trajectory."""
     require_pattern(source, pattern)
-    if body is not None and (from_photos(source) or kind_of(source) != "tool"):
-        raise InputError(
-            f"`body` was expected with `poses` of a trajectory and only there, found `poses` {source}; leave it out."
-        )
     if source == "boards":
         parse_pattern(pattern or "")
     elif source.startswith(PREFIX):
         parse_rectangle(source)
-    elif source == "sfm":
-        if len(photos) < LEAST_PHOTOS:
-            raise InputError(f"`poses` sfm was expected with {LEAST_PHOTOS} photos or more, found {len(photos)}; give more.")
-    else:
-        _without_photos(source, [photo.name for photo in photos], cameras, camera_of, body)
+    elif not (from_photos(source) or Path(source).is_dir() or Path(source).is_file()):
+        raise InputError(
+            f"`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, {TITLES}, or one of "
+            f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
+        )
+    if body is not None and (from_photos(source) or kind_of(source) != "tool"):
+        raise InputError(
+            f"`body` was expected with `poses` of a trajectory and only there, found `poses` {source}; leave it out."
+        )
 
 
 def require_pattern(source: str, pattern: str | None) -> None:
@@ -136,7 +147,7 @@ def estimate_poses(
         camera_of = cameras_of_photos(refs, cameras, None if from_photos(source) else named_cameras(source))
     else:
         camera_of = arcs.camera_of
-    require_pattern(source, pattern)
+    require_source(source, pattern, body)
     if not isinstance(photos, PhotoArcs):
         check_source(source, refs, cameras, camera_of, pattern, body)
     try:
@@ -255,11 +266,6 @@ def _without_photos(
         return poses_from_rig(cameras, names, camera_of, instants(names, camera_of))
     if Path(source).is_dir():
         return poses_from_colmap(source, names, camera_of)
-    if not Path(source).is_file():
-        raise InputError(
-            f"`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, {TITLES}, or one of "
-            f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
-        )
     tool = pose_file_of(Path(source))
     if tool is not None:
         return poses_from_tool(Path(source), tool, names, cameras, camera_of, body, options.given)
