@@ -132,17 +132,17 @@ def test_where_many_are_it_is_said() -> None:
     options = SceneOptions(refine=("lines",))
     share = every.scene.lines.chance_share
     told = f"About {share.sum():.0f} of {len(share)} lines ({100 * share.mean():.0f} %) are there by chance."
-    assert told in [one.limit for one in advice(every, 0.0, "table", options, silent)]
-    assert not [one.limit for one in advice(none, 0.0, "table", options, silent) if "by chance" in one.limit]
+    assert told in [one.limit for one in advice(every, 0.0, "table", (), options, silent)]
+    assert not [one.limit for one in advice(none, 0.0, "table", (), options, silent) if "by chance" in one.limit]
 
 
 def test_arcs_that_stay_where_they_are_go_along_with_a_camera_that_photos_place() -> None:
     """Of a camera that boards place it is the camera that stood still."""
     found, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines",))
-    by_photos, by_boards = (advice(found, 0.5, source, options, silent) for source in ("sfm", "boards"))
+    by_photos, by_boards = (advice(found, 0.5, source, (), options, silent) for source in ("sfm", "boards"))
     assert by_photos[0].limit.startswith("50 % of the arcs in no line stay") and "go along with the camera" in by_photos[0].limit
     assert "`mask`" in by_photos[0].do and "the camera stood still" in by_boards[0].limit
-    assert not any("stay where they are" in one.limit for one in advice(found, 0.1, "sfm", options, silent))
+    assert not any("stay where they are" in one.limit for one in advice(found, 0.1, "sfm", (), options, silent))
 
 
 def test_a_room_without_clutter_keeps_all_lines() -> None:
@@ -180,12 +180,12 @@ def test_instants_of_a_rig_are_named_by_what_their_photos_share_together() -> No
     kept, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines",))
     options = replace(options, advice=options.advice._replace(few_explained=1.1))
     rig = replace(kept.scene.poses, frames=tuple(f"instant{k // 2}" for k in range(VIEWS)))
-    told = advice(replace(kept, scene=replace(kept.scene, poses=rig)), 0.0, "table", options, silent)[0].do
+    told = advice(replace(kept, scene=replace(kept.scene, poses=rig)), 0.0, "table", (), options, silent)[0].do
     a, b, shared = re.search(r"between the instants instant(\d) and instant(\d), which share (\d+) lines", told).groups()
     seen = [set(kept.segments.track[kept.segments.image // 2 == int(k)]) - {-1} for k in (a, b)]
     assert a != b and len(seen[0] & seen[1]) == int(shared)
     # Photos of one camera share fewer.
-    alone = advice(kept, 0.0, "table", options, silent)[0].do
+    alone = advice(kept, 0.0, "table", (), options, silent)[0].do
     assert int(re.search(r"which share (\d+) lines", alone)[1]) < int(shared) and "instants" not in alone
 
 
@@ -193,19 +193,19 @@ def test_nobody_is_sent_between_photos_that_a_rig_took_at_once() -> None:
     kept, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines",))
     once = replace(kept, scene=replace(kept.scene, poses=replace(kept.scene.poses, frames=("one",) * VIEWS)))
     options = replace(options, advice=options.advice._replace(few_explained=1.1))
-    (told,) = advice(once, 0.0, "rig", options, silent)
+    (told,) = advice(once, 0.0, "rig", (), options, silent)
     assert told.do == (
         "Take photos of more instants, with poses from the photos (`poses` sfm), or `min_views` 3, with more lines by chance."
     )
     apart = replace(options, advice=options.advice._replace(few_explained=0.0, hardly_explained=1.0))
-    (told,) = advice(once, 0.0, "rig", replace(apart, refine=("lines", "poses")), silent)
+    (told,) = advice(once, 0.0, "rig", (), replace(apart, refine=("lines", "poses")), silent)
     assert told.do == "Take photos of more instants, with poses from the photos (`poses` sfm)."
 
 
 def test_a_photo_of_a_rig_is_not_compared_with_another_of_its_instant() -> None:
     kept, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines", "poses"))
     options = replace(options, advice=options.advice._replace(hardly_explained=1.0))
-    weak, nearest = re.search(r"between (\S+) and (\S+)\.$", advice(kept, 0.0, "table", options, silent)[0].do).groups()
+    weak, nearest = re.search(r"between (\S+) and (\S+)\.$", advice(kept, 0.0, "table", (), options, silent)[0].do).groups()
     rig = replace(kept.scene.poses, frames=tuple("one" if name in (weak, nearest) else name for name in NAMES))
-    told = advice(replace(kept, scene=replace(kept.scene, poses=rig)), 0.0, "table", options, silent)[0].do
+    told = advice(replace(kept, scene=replace(kept.scene, poses=rig)), 0.0, "table", (), options, silent)[0].do
     assert f"between {weak} and photo" in told and nearest not in told

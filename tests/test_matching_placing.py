@@ -87,6 +87,18 @@ def test_a_pose_that_is_off_is_mended_and_a_right_one_is_left(name: str) -> None
         assert degrees < 0.2 and metres < 0.01
 
 
+def test_a_photo_that_is_moved_again_and_again_keeps_a_rotation() -> None:
+    """Rounding doubled with every step: after eight rounds its rotation was refused as none."""
+    found = matched("fisheye", True)
+    known, own = others(found, 0), found.arcs.of_photo(0)
+    for _ in range(8):
+        one = refined_by_lines(own, known)
+        assert one is not None
+        own = own.with_poses(one.pose)
+    off = one.pose.rotation @ one.pose.rotation.mT - torch.eye(3, dtype=torch.float64)
+    assert float(off.abs().max()) < 1e-13
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ONE_CAMERA)
 def test_a_pose_that_is_wrong_altogether_is_found_anew(name: str) -> None:

@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float, Int
 
 from camera_models.pose import Pose, adjoint
+from camera_models.rotations import nearest_rotation
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.matching.known_lines import KnownLines, most_likely
 from omnilines.matching.options import MatchingOptions
@@ -82,7 +83,9 @@ def _step(arcs: ViewedArcs, known: KnownLines, reach_rad: float, options: Matchi
         return None
     right = -np.einsum("nki,nk,nk->i", jacobian, weight, residual) * unit
     step = unit * (vectors @ ((vectors.T @ right) / values))
-    return Pose.exp(torch.as_tensor(step)[None]) @ arcs.poses[[0]]
+    moved = Pose.exp(torch.as_tensor(step)[None]) @ arcs.poses[[0]]
+    # Where a photo is moved again and again, rounding would double with every step, until its rotation is none.
+    return Pose(nearest_rotation(moved.rotation), moved.translation)
 
 
 def _linearised(

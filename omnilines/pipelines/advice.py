@@ -1,7 +1,7 @@
 """Photos whose arcs hardly any line explains, and what to do: their poses are wrong, or they see what no other photo does."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,9 +45,11 @@ def weak_photos(photos: Sequence[PhotoCount], hardly_explained: float) -> list[P
     return [photo for photo in photos if photo.arcs and photo.share < limit]
 
 
-def advice(scene: KeptLines, still: float, source: str, options: SceneOptions, progress: ProgressCallback) -> tuple[Advice, ...]:
+def advice(
+    scene: KeptLines, still: float, source: str, moved: Collection[str], options: SceneOptions, progress: ProgressCallback
+) -> tuple[Advice, ...]:
     """The photos, and the stage, at which most arcs are lost, each with what to do; `still` is the share of arcs that stay
-    where they are, `source` that of the poses.
+    where they are, `source` that of the poses, `moved` the photos of which it is said that their poses were far off.
 
     Where poses are held, each weak photo is tried with the poses of the other weak ones, as their names may be exchanged, and
     another pose near its own is looked for: one that explains far more says that the pose is at fault. With poses refined that
@@ -67,7 +69,7 @@ def advice(scene: KeptLines, still: float, source: str, options: SceneOptions, p
         *carried,
         *_exchanged(weak, better),
         *_wrong_poses(scene, weak, better),
-        *_apart(scene, weak, better, refined),
+        *_apart(scene, weak, {*better, *moved}, refined),
         *_whole(scene, refined, options.min_views, options.advice),
         *_by_chance(scene, options.advice),
     )
@@ -173,9 +175,9 @@ def _wrong_poses(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str,
     return (Advice(where, f"{TO_REFINE} mends {them}; {others}."),)
 
 
-def _apart(scene: KeptLines, weak: Sequence[PhotoCount], better: dict[str, BetterPose], refined: bool) -> tuple[Advice, ...]:
+def _apart(scene: KeptLines, weak: Sequence[PhotoCount], told: Collection[str], refined: bool) -> tuple[Advice, ...]:
     """The photos that share hardly any line with others, and the photos that stand nearest to them."""
-    apart = [photo for photo in weak if photo.image not in better]
+    apart = [photo for photo in weak if photo.image not in told]
     if not apart:
         return ()
     names = _named([f"{photo.image} ({photo.in_lines} of {photo.arcs})" for photo in apart])

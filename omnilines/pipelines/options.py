@@ -113,6 +113,27 @@ class AdviceOptions(NamedTuple):
     stood still (0.4 in two real sets where it did, up to 0.2 in others)."""
 
 
+class MovedOptions(NamedTuple):
+    """When photos are named whose refined poses lie far from those given (`moved_photos`)."""
+
+    times: float = 10.0
+    """Times the median turn, or move, of all photos from which on one is named."""
+    outlying: float = 3.0
+    """Times that median from which on a photo has no say in where the others are."""
+    sigmas: float = 5.0
+    """Standard deviations of its refined pose that it has to move as well."""
+    least_rad: float = math.radians(0.5)
+    """Smaller turns are not named, whatever the others do."""
+    least_share: float = 0.01
+    """Smaller moves are not named, as a share of the root mean square distance of the photos from their middle."""
+    slipped_times: float = 5.0
+    """A pose found is the one given for another photo where that is so many times nearer than its own."""
+    slipped_share: float = 0.8
+    """Share of the photos whose poses are those given one row below, or above, from which on rows slipped."""
+    least_photos: int = 5
+    """With fewer photos (instants of a rig) nothing is said: each has a say in where the others are."""
+
+
 class SamePlaceOptions(NamedTuple):
     """When a photo is left out, as another one shows the same from the same place."""
 
@@ -206,6 +227,8 @@ class SceneOptions(Options):
     """The frame that a scene is written in."""
     advice: AdviceOptions = AdviceOptions()
     """What is said of photos that lines hardly explain."""
+    moved: MovedOptions = MovedOptions()
+    """What is said of photos that refined poses put far from those given."""
     judge: JudgeOptions = JudgeOptions()
     """When poses, cameras and tracks are refused because they do not belong together."""
 

@@ -23,7 +23,7 @@ from omnilines.least_squares.devices import usable_device
 from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.options import require_ranges_of_parts
 from omnilines.pipelines.adjust import adjust, check_prior
-from omnilines.pipelines.advice import advice
+from omnilines.pipelines.advice import advice, weak_photos
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.asked_cameras import asked_cameras
 from omnilines.pipelines.assumed_errors import require_error, with_assumed_errors
@@ -44,6 +44,7 @@ from omnilines.pipelines.frame_notes import frame_notes, unplaced_notes
 from omnilines.pipelines.judged_photos import READ, doubted_photos, refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
+from omnilines.pipelines.moved_photos import moved_photos
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
 from omnilines.pipelines.part_workers import check_partition, matching_workers, part_workers
@@ -60,7 +61,7 @@ from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Check, Detail, ImagePoses, Lines, Segments
+from omnilines.records import Advice, Check, Detail, ImagePoses, Lines, Segments
 from omnilines.structure.families import Families, line_families
 from omnilines.structure.options import DirectionsOptions
 from omnilines.triangulation import check_triangulation
@@ -132,6 +133,7 @@ def reconstruct(
     cameras = calibration_of(camera)
     require_cameras_of(arcs, cameras)
     check_options(options, cameras, pose_sigma)
+    stated = poses if isinstance(poses, ImagePoses) else poses.poses
     arcs, posed, given = _with_poses(arcs, poses, cameras, options, distance, work, progress, pose_sigma)
     if options.min_views == SceneOptions.min_views:
         # Nobody who brings three photos asks for lines of four.
@@ -150,11 +152,13 @@ def reconstruct(
         refuse_reading(arcs.photos, posed, cameras, options, progress)
         known = f"{len(posed.poses)} have poses" + (f": {table}." if table else ".")
         why = "".join(f" {said}" for said in (*list(posed.left_out.values())[:1], *posed.notes[:1]))
+        if posed.source in READ and "poses" not in options.refine:
+            why += " Where names of photos and poses are exchanged, or slipped by a row, `refine` lines,poses says so."
         raise GeometryError(f"{error} Of {len(arcs.photos)} photos, {known}{why}") from None
     if not found.matched.beyond_chance:
         refuse_reading(arcs.photos, posed, cameras, options, progress)
     made_from = {**arcs.inputs, "poses": posed.source, "options": options} if inputs is None else inputs
-    return _scene(arcs, posed, found, cameras, options, distance, given, made_from, progress)
+    return _scene(arcs, stated, posed, found, cameras, options, distance, given, made_from, progress)
 
 
 def _with_poses(
@@ -202,6 +206,7 @@ def _of_table(arcs: PhotoArcs, poses: ImagePoses, cameras: Calibration) -> Photo
 
 def _scene(
     arcs: PhotoArcs,
+    stated: ImagePoses,
     posed: PhotoPoses,
     found: KeptLines,
     cameras: Calibration,
@@ -211,7 +216,8 @@ def _scene(
     inputs: Mapping[str, Any],
     progress: ProgressCallback,
 ) -> Scene:
-    """Lines and poses in the frame that they are written in, and what is to be said of them."""
+    """Lines and poses in the frame that they are written in, and what is to be said of them; `stated` are the poses as they were
+    given."""
     lines, poses = found.scene.lines, found.scene.poses
     arcs_of_lines = arcs_from_segments(found.segments, poses, cameras, with_nodes=cost_named(options.cost).integrates).arcs
     cameras = with_assumed_errors(cameras, arcs_of_lines, options)
@@ -252,6 +258,7 @@ def _scene(
     still = still_share(found)
     explained = float(np.median([photo.share for photo in found.photos]))
     doubts = doubted_photos(arcs.photos, posed, cameras, explained, options, progress)
+    moves, moved = _of_moved(stated, posed, found, options)
     folder = photo_folder([one.photo for one in arcs.photos])
     of_photos = FromPhotos(
         folder, len(arcs.photos), arcs.skipped, found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
@@ -268,11 +275,21 @@ def _scene(
         of_photos,
         options,
         _checks(found),
-        (*posed.advice, *doubts, *advice(found, still, posed.source, options, progress)),
+        (*posed.advice, *moves, *doubts, *advice(found, still, posed.source, moved, options, progress)),
         asked,
         supposed,
         frame.up,
     )
+
+
+def _of_moved(
+    stated: ImagePoses, posed: PhotoPoses, found: KeptLines, options: SceneOptions
+) -> tuple[tuple[Advice, ...], frozenset[str]]:
+    """The photos that refined poses put far from those given, where some were given."""
+    if posed.source == SFM or "poses" not in options.refine or not found.matched.beyond_chance:
+        return (), frozenset()
+    weak = {photo.image: photo for photo in weak_photos(found.photos, options.advice.hardly_explained)}
+    return moved_photos(stated, found.scene.poses, weak, posed.unit, options.moved)
 
 
 def _of_given(posed: PhotoPoses, found: KeptLines, known: KnownPoses | None, options: SceneOptions) -> tuple[str, ...]:
