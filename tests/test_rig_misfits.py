@@ -5,7 +5,9 @@ from dataclasses import replace
 import pytest
 import torch
 from rig_views import pair, setups
+from test_rig_excess import seen
 
+from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.rig.alone import CameraSetup
 from omnilines.calibration.rig.calibrate import calibrate_rig
 from omnilines.calibration.rig.result import RigCalibration
@@ -47,3 +49,24 @@ def test_a_calibration_that_is_held_is_named_where_it_is_of_another_lens(bent: f
 
 def test_models_that_follow_are_not_blamed() -> None:
     assert named(calibrate_rig(CORNERS, setups(RIG))) == []
+
+
+@pytest.mark.slow
+def test_a_calibration_that_is_held_and_of_another_focus_is_told_from_a_board_that_moves() -> None:
+    """A focal length 1 percent too long shows in two cameras as a board that is at two places; right ones and a board that does
+    move are not taken for it."""
+    held = {
+        name: CameraSetup(model.image_size, start=model, hold=True) for name, model in zip(RIG.names, RIG.models, strict=True)
+    }
+    scale = torch.tensor([1.01, 1.01, 1, 1, 1, 1, 1, 1], dtype=torch.float64)
+    longer = RIG.models[1].with_parameters(scale * RIG.models[1].parameters)
+    found = calibrate_rig(CORNERS, held | {"cam1": replace(held["cam1"], start=longer)})
+    (other,) = [member for member in found.members if member.other is not None]
+    assert other.name == "cam1" and other.other is not None and -0.012 < other.other.focal_share < -0.007
+    assert not any("The board moved" in note for note in found.notes)
+    assert any("not from the board" in note for note in found.notes)
+    advice = " ".join(one.limit + one.do for one in rig_advice(found, {}))
+    assert "cam1: The given calibration is not that of these photos" in advice and "refine_board" not in advice
+    moving = calibrate_rig(seen(RIG, BoardShape(), 1.5e-3, 2), held)
+    assert all(member.other is None for member in moving.members)
+    assert any("The board moved" in note for note in moving.notes)

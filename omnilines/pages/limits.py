@@ -186,10 +186,13 @@ def rig_advice(result: RigCalibration, views: dict[str, NextViews]) -> tuple[Adv
         if member.misfit is not None:
             one = _of_misfit(member.follows, member.misfit, bool(member.chosen))
             found.append(Advice(f"{member.name}: {one.limit}", REFINE if member.held else one.do))
+        elif member.other is not None:
+            found.append(Advice(f"{member.name}: {member.other.limit}.", REFINE))
     found += [Advice(note, SEEN_ALONE) for note in result.against_alone.notes]
     if result.unmodelled is not None:
         found.append(Advice(f"{result.unmodelled.limit}.", result.unmodelled.remedy))
-    found += _worse_than_alone(result) or _noise_of_the_worst(result)
+    if all(member.other is None for member in result.members):
+        found += _worse_than_alone(result) or _noise_of_the_worst(result)
     if result.weakest is not None:
         found.append(_of_link(result, result.weakest))
     if views:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from camera_models.pose import Pose
 from omnilines.calibration.line_delay import LineDelay
+from omnilines.calibration.rig.given import OtherThanGiven
 from omnilines.calibration.rig.links import Link, translation_covariance
 from omnilines.calibration.rig.result import RigCalibration, RigMember
 from omnilines.pages.calibration import calibration_verdict, line_delay_data, misfit_data, unmodelled_data
@@ -103,7 +104,9 @@ def _verdict(result: RigCalibration) -> str:
             "that fit their camera alone do not fit the rig."
         )
     lost = [member for member in result.members if member.misfit is not None]
-    doubts = [f"the {member.follows} does not follow the lens of {member.name}." for member in lost] + list(against.notes)
+    doubts = [f"the {member.follows} does not follow the lens of {member.name}." for member in lost]
+    doubts += [f"the calibration held of {member.name} is not that of its photos." for member in result.members if member.other]
+    doubts += against.notes
     doubt = f" But: {doubts[0]}" if doubts else ""
     return (
         f"{len(result.members)} cameras: each is known to stand within {figure(1e3 * math.sqrt(max(spread)), '.2g')} mm and "
@@ -199,6 +202,10 @@ def rig_data(calibrated: RigResult) -> dict[str, Any]:
     }
 
 
+def _other_data(other: OtherThanGiven) -> dict[str, float]:
+    return {"focal_share": other.focal_share, "moved_px": other.moved_px, "sigma_px": other.sigma_px, "p": other.chance}
+
+
 def _camera_data(member: RigMember, delays: Sequence[LineDelay]) -> dict[str, Any]:
     pose = member.cam_from_rig
     return {
@@ -213,6 +220,7 @@ def _camera_data(member: RigMember, delays: Sequence[LineDelay]) -> dict[str, An
         "rms_px_per_point": member.rms_px_per_point,
         "alone_rms_px_per_point": member.alone_rms_px_per_point,
         "misfit": None if member.misfit is None else misfit_data(member.misfit),
+        "other_than_given": None if member.other is None else _other_data(member.other),
         "min_angle_deg": member.min_angle_deg,
         "max_angle_deg": member.max_angle_deg,
         "cam_from_rig": {

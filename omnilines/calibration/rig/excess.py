@@ -2,12 +2,15 @@
 
 All fits are of the same corners with the same weights, so that their costs compare:
 
-    rigid >= with the surface of the board free >= and its pose free in every view >= and the parameters of each camera alone
+    rigid >= with held calibrations refined >= with the surface of the board free >= and its pose free in every view
+          >= and the parameters of each camera alone
 
-The first difference is the board's; the second that of its pose, as where hands move it between two shutters; the third that of
-the camera models. Each is weighed against the residuals that are left by as many parameters as it frees (an F ratio).
+The first difference is that of calibrations that are held, the second the board's; the third that of its pose, as where hands
+move it between two shutters; the fourth that of the camera models. Each is weighed against the residuals that are left by as
+many parameters as it frees (an F ratio).
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -22,6 +25,7 @@ from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.points import RigPoints
 from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.refined import refined_rig
 from omnilines.calibration.thresholds import RigThresholds
 from omnilines.least_squares import Outcome, Solution, solve
 
@@ -47,37 +51,61 @@ class Apart:
         return tuple(map(_rms_px, self.residual_px))
 
 
-def excess_note(data: RigData, fit: RigFit, solution: Solution[RigState], thresholds: RigThresholds) -> str | None:
-    """One sentence on what differs between the cameras together and each alone; None where nothing stands out."""
-    points, bent = fit.points.chosen(fit.kept), _bent(data, fit, solution.state)
-    chain = [solution.cost]
-    if bent is not None:
-        chain.append(bent.cost)
-    state = solution.state if bent is None else bent.state
-    held, free = (apart(data, points, state, hold=hold) for hold in (True, False))
-    chain += [held.cost, free.cost]
+def excess_note(
+    data: RigData, fit: RigFit, solution: Solution[RigState], held: Collection[int], thresholds: RigThresholds
+) -> str | None:
+    """One sentence on what differs between the cameras together and each alone; None where nothing stands out. `held` are members
+    whose calibration is held."""
+    points, state = fit.points.chosen(fit.kept), solution.state
+    steps, alone_px = _steps(data, fit, solution, held)
+    chain = [solution.cost, *(step.cost for step in steps)]
     gains = [before - after for before, after in pairwise(chain)]
-    bends = 0 if bent is None else state.shape.free.shape[1]
-    freed = ([] if bent is None else [bends]) + [held.freed, sum(basis.shape[1] for basis in data.bases)]
     named = [
-        gain > thresholds.named_share * sum(gains) and gain > thresholds.clear_gain * count * after / (2 * len(points.view))
-        for gain, count, after in zip(gains, freed, chain[1:], strict=True)
+        gain > thresholds.named_share * sum(gains)
+        and gain > thresholds.clear_gain * step.freed * step.cost / (2 * len(points.view))
+        for gain, step in zip(gains, steps, strict=True)
     ]
-    causes = [_of_poses(held), OF_PARAMETERS]
-    if bent is not None:
-        causes.insert(0, _of_board(bent.state, points))
-    shares = [f"{100 * gain / sum(gains):.0f} percent {cause}" for gain, cause in zip(gains, causes, strict=True)]
+    shares = [f"{100 * gain / sum(gains):.0f} percent {step.cause}" for gain, step in zip(gains, steps, strict=True)]
     told = [share for share, is_named in zip(shares, named, strict=True) if is_named]
     if not told:
         return None
-    together_px = _rms_px(solution.state.residual_px(points))
-    bend, alone_px = "" if bent is None else "with the board bent and ", _rms_px(torch.cat(free.residual_px))
     return (
-        f"Together the cameras fit to {together_px:.3g} px per point; {bend}each alone they would to {alone_px:.3g}. Of the "
+        f"Together the cameras fit to {_rms_px(state.residual_px(points)):.3g} px per point; {alone_px}. Of the "
         f"difference (in squares) {'; '.join(told)}."
     )
 
 
+@dataclass(frozen=True)
+class _Step:
+    """The fit with more that is free."""
+
+    cost: float
+    freed: int
+    cause: str
+
+
+def _steps(data: RigData, fit: RigFit, solution: Solution[RigState], held: Collection[int]) -> tuple[list[_Step], str]:
+    """What is freed one after the other, and how well each camera fits alone in the end."""
+    points, state, steps, before = fit.points.chosen(fit.kept), solution.state, list[_Step](), ""
+    refined = refined_rig(data, fit, state, held)
+    if refined is not None:
+        freed = sum(basis.shape[1] for basis in refined[0].bases) - sum(basis.shape[1] for basis in data.bases)
+        data, state = refined[0], refined[1].state
+        steps.append(_Step(refined[1].cost, freed, OF_HELD.format(f"{_rms_px(state.residual_px(points)):.3g}")))
+    bent = _bent(data, fit, state)
+    if bent is not None:
+        state, before = bent.state, "with the board bent and "
+        steps.append(_Step(bent.cost, state.shape.free.shape[1], _of_board(state, points)))
+    posed, free = (apart(data, points, state, hold=hold) for hold in (True, False))
+    steps.append(_Step(posed.cost, posed.freed, _of_poses(posed)))
+    steps.append(_Step(free.cost, sum(basis.shape[1] for basis in data.bases), OF_PARAMETERS))
+    return steps, f"{before}each alone they would to {_rms_px(torch.cat(free.residual_px)):.3g}"
+
+
+OF_HELD = (
+    "is what is held of the cameras: with their parameters refined they fit to {} px together (leave `hold` out, or give a "
+    "calibration of the same focus and zoom)"
+)
 OF_PARAMETERS = (
     "is the cameras' parameters, which alone are others than together: the model does not suit the lens, or few views leave it "
     "open"

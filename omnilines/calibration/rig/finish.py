@@ -13,6 +13,7 @@ from camera_models.pose import Pose
 from omnilines.calibration.diagnose import supported_angles_deg
 from omnilines.calibration.intervals import SHARE, linear_intervals
 from omnilines.calibration.rig.against_alone import against_alone
+from omnilines.calibration.rig.given import other_than_given
 from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.links import Link, links, weakest_link
 from omnilines.calibration.rig.misfits import rig_misfits
@@ -51,8 +52,8 @@ def rig_result(outcome: RigOutcome) -> RigCalibration:
     members = _members(outcome, covariance, poses, residual, kept)
     used, against = residual[kept], against_alone(outcome, covariance)
     reach_rad = [(math.radians(member.min_angle_deg), math.radians(member.max_angle_deg)) for member in members]
-    # Where a model does not follow its lens, that pulls at everything else.
-    follow = all(member.misfit is None for member in members)
+    # Where a model does not follow its lens, or is another's, that pulls at everything else.
+    follow = all(member.misfit is None and member.other is None for member in members)
     other = rig_unmodelled(outcome, covariance, reach_rad) if follow else None
     left_out = {data.views.cameras[c]: reason for c, reason in outcome.failures.items()}
     return RigCalibration(
@@ -205,7 +206,7 @@ def _members(
     data, state = outcome.data, outcome.solution.state
     corners, found, low = data.views.corners, [], 0
     sigmas = outcome.certain_factor.sigmas(SHARE)
-    free, misfits = _free_clocks(data), rig_misfits(outcome)
+    free, misfits, others = _free_clocks(data), rig_misfits(outcome), other_than_given(outcome)
     clocks = {k: place - len(free) for place, k in enumerate(free)}
     for k, c in enumerate(data.cameras):
         model, name = state.models[k], data.views.cameras[c]
@@ -213,7 +214,6 @@ def _members(
         own = kept & (data.views.camera[corners.view] == c)
         squares = float((residual[own] ** 2).sum())
         low_deg, high_deg = supported_angles_deg(model, _extremes(model, torch.as_tensor(corners.pixels[own])))
-        setup = outcome.setups[name]
         found.append(
             RigMember(
                 name=name,
@@ -227,13 +227,14 @@ def _members(
                 min_angle_deg=low_deg,
                 max_angle_deg=high_deg,
                 sign_source=outcome.sign_sources.get(c),
-                held=setup.start is not None and setup.hold,
+                held=k in outcome.held,
                 interval_95=linear_intervals(model.parameters, covariance[low:high, low:high], sigmas).numpy(),
                 time_offset_s=float(state.path.offset_s[k]) if k in clocks and state.path is not None else None,
                 time_offset_sigma_s=math.sqrt(float(covariance[clocks[k], clocks[k]])) if k in clocks else None,
                 line_delay=next((found for found in outcome.line_delays if found.camera == name and found.modelled), None),
                 chosen=outcome.alone[c].chosen,
                 misfit=misfits[k],
+                other=others[k],
             )
         )
         low = high

@@ -57,15 +57,16 @@ class LooseFit:
 
 
 def loosened(outcome: RigOutcome, start: RigState, seen: SeenAlone) -> RigOutcome:
-    """The outcome with a motion of each view, where cameras fit the rig worse than alone, and the poses of the one board that it
-    sees differ between them by more than chance; else as it is. `start` has the models of the cameras alone."""
-    if not outcome.worse or outcome.data.views.parts > 1:
+    """The outcome with a motion of each view, where cameras fit the rig worse than alone, not by what is held of them, and the
+    poses of the one board that it sees differ between them by more than chance; else as it is. `start` has the models of the
+    cameras alone."""
+    if not outcome.worse or outcome.data.views.parts > 1 or outcome.worse_as_held:
         return outcome
     thresholds = outcome.thresholds
     found = loose_fit(outcome.data, outcome.fit, start, seen, list(outcome.reasons), thresholds)
     if found is None:
         return outcome
-    cause = excess_note(outcome.data, outcome.fit, outcome.solution, thresholds.rig)
+    cause = excess_note(outcome.data, outcome.fit, outcome.solution, outcome.held, thresholds.rig)
     notes = (*(() if cause is None else (cause,)), motion_note(found.shutters), *found.notes)
     reasons = {**outcome.reasons, **found.reasons}
     lost = [v for v in sorted(reasons) if v not in found.fit.views and reasons[v] != NOT_FOLLOWED]

@@ -32,6 +32,7 @@ def rig_notes(
     notes = [f"Camera {name} is not of the rig: {reason}." for name, reason in left_out.items()]
     notes += [f"Camera {member.name}: {member.chosen}" for member in members if member.chosen]
     notes += [f"Camera {member.name}: {member.misfit.note(member.follows)}" for member in members if member.misfit is not None]
+    notes += [f"Camera {member.name}: {member.other.note}" for member in members if member.other is not None]
     notes += against.notes
     offsets = offsets_note(outcome)
     notes += [*(() if offsets is None else (offsets,)), *outcome.clock_notes, *outcome.line_notes]
@@ -51,8 +52,7 @@ def rig_notes(
         if k in outcome.worse:
             notes.append(
                 f"Camera {member.name} fits the rig worse than alone: {member.rms_px_per_point:.3g} px instead of "
-                f"{member.alone_rms_px_per_point:.3g} px per point; check that all cameras see the same instant and that the "
-                "board is flat."
+                f"{member.alone_rms_px_per_point:.3g} px per point; {AS_HELD if outcome.worse_as_held else CHECK}."
             )
         own = outcome.fit.points.camera[outcome.fit.points.view] == k
         pixels = outcome.fit.points.pixels[own]
@@ -74,6 +74,10 @@ def rig_notes(
     return tuple(notes)
 
 
+CHECK = "check that all cameras see the same instant and that the board is flat"
+AS_HELD = "that comes from the calibrations that are held, not from the board"
+
+
 def _excess_notes(outcome: RigOutcome) -> list[str]:
     """Why the rig fits worse than its cameras alone, or frames contradict each other, and what that does to the standard
     deviations."""
@@ -81,12 +85,13 @@ def _excess_notes(outcome: RigOutcome) -> list[str]:
     if found is not None:
         return [
             f"Frames contradict each other {rounded(found.ratio)} times as much as the noise of their corners explains "
-            f"({'chi-square' if outcome.factor.holds else 'F'} test): a board that bends or is not flat, a model that does not "
-            "suit, or blur moves all corners of a photo together. The standard deviations hold that."
+            f"({'chi-square' if outcome.factor.holds else 'F'} test): a board that bends or is not flat, a model "
+            f"{'or a calibration that is held ' if outcome.held else ''}that does not suit, or blur moves all corners of a photo "
+            "together. The standard deviations hold that."
         ]
     if not outcome.worse:
         return []
-    cause = excess_note(outcome.data, outcome.fit, outcome.solution, outcome.thresholds.rig)
+    cause = excess_note(outcome.data, outcome.fit, outcome.solution, outcome.held, outcome.thresholds.rig)
     told = [cause] if cause else []
     factors = outcome.frame_factors
     if factors is not None and len(factors):

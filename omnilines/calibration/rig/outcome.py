@@ -17,6 +17,7 @@ from omnilines.calibration.rig.by_frames import groups_of_frames, spread_of_fram
 from omnilines.calibration.rig.excess import apart
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.refined import refined_rig
 from omnilines.calibration.rig.shutters import Shutters
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Solution
@@ -119,6 +120,28 @@ class RigOutcome:
         return tuple(
             k for k, alone_px in enumerate(self.alone_rms_px) if float(squares[camera == k].mean().sqrt()) > limit * alone_px
         )
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """Members whose calibration is given and held."""
+        setups = [self.setups[self.data.views.cameras[c]] for c in self.data.cameras]
+        return tuple(k for k, setup in enumerate(setups) if setup.start is not None and setup.hold)
+
+    @cached_property
+    def worse_as_held(self) -> bool:
+        """Whether cameras fit the rig worse than alone by what is held of them: with that refined, each would fit it as well as
+        by views alone, with one pose of the board in each frame."""
+        found = refined_rig(self.data, self.fit, self.solution.state, self.held) if self.worse else None
+        if found is None:
+            return False
+        (data, solution), points, limit = (
+            found,
+            self.fit.points.chosen(self.fit.kept),
+            self.thresholds.rig.worse_than_alone_factor,
+        )
+        squares, camera = solution.state.residual_px(points).square().sum(-1), points.camera[points.view]
+        alone_px = apart(data, points, solution.state, hold=False).rms_px
+        return all(float(squares[camera == k].mean().sqrt()) <= limit * px for k, px in enumerate(alone_px))
 
     @cached_property
     def kept_covariance(self) -> Float[Tensor, "q q"]:

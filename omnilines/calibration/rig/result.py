@@ -14,6 +14,7 @@ from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.model_misfit import ModelMisfit
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.against_alone import AgainstAlone
+from omnilines.calibration.rig.given import OtherThanGiven
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.unmodelled import Unmodelled
 from omnilines.records import Corners, ViewResult
@@ -53,6 +54,8 @@ class RigMember:
     """Why its model was chosen, one sentence; empty where it was named."""
     misfit: ModelMisfit | None = None
     """Where its model does not follow the lens, as its own corners show."""
+    other: OtherThanGiven | None = None
+    """Where its calibration is held and is not that of its photos."""
 
     @property
     def follows(self) -> str:
