@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from rig_views import BOARD, RigScene, pair, setups
+from rig_views import BOARD, SQUARE_M, RigScene, pair, setups
 
 from camera_models import InputError
 from camera_models.pose import Pose
@@ -134,3 +134,45 @@ def test_the_cause_in_a_real_pair_is_named() -> None:
     assert surface.rms_px_per_point < 0.8 * drawn.rms_px_per_point and all(view.used for view in surface.fit.views)
     assert surface.fit.links[0].translation_sigma_m < drawn.fit.links[0].translation_sigma_m
     assert "not flat" not in cause(surface.fit) and len(surface.fit.board_terms) == 12
+
+
+@pytest.mark.slow
+def test_frames_in_which_the_board_is_at_one_place_count_once() -> None:
+    """A bent board that stands still while cameras film it: five frames of each place are wrong alike."""
+    rig = pair(10, seed=3)
+    once = seen(rig, bent(), 0.0, 3)
+    rng, views, count = np.random.default_rng(7), range(len(once.view_names)), 5
+    order = [view for view in views for _ in range(count)]
+    rows = [np.flatnonzero(once.view == view) for view in order]
+    every, names = np.concatenate(rows), tuple(f"{once.view_names[view]} {k}" for k, view in enumerate(order))
+    filmed = replace(
+        once,
+        view=np.repeat(np.arange(len(order)), [len(own) for own in rows]),
+        view_names=names,
+        images=names,
+        board_m=once.board_m[every],
+        pixels=once.pixels[every] + rng.normal(0.0, NOISE_PX, (len(every), 2)),
+        cameras=tuple((once.cameras or ())[view] for view in order),
+        frames=tuple(f"{(once.frames or ())[view]} {k % count}" for k, view in enumerate(order)),
+    )
+    found, often = calibrate_rig(once, setups(rig)), calibrate_rig(filmed, setups(rig))
+    true = float(rig.cam_from_rig[1].centre.norm())
+    assert often.links[0].baseline_sigma_m > 0.8 * found.links[0].baseline_sigma_m
+    assert abs(often.links[0].baseline_m - true) < 3 * often.links[0].baseline_sigma_m
+    # It is the board and no lens that does not follow, in five frames as in one.
+    assert all(member.misfit is None for member in often.members)
+    assert often.unmodelled is not None and often.unmodelled.kind == "flatness"
+
+
+@pytest.mark.parametrize("stated", [NOISE_PX, 5 * NOISE_PX])
+def test_few_corners_that_follow_no_pose_of_their_own_are_not_taken_for_a_worse_fit(stated: float) -> None:
+    """Of every view only every other column and row; the second camera counts as little as its table states."""
+    rig = pair(20, seed=2)
+    corners = rig.noisy(NOISE_PX, 2)
+    some = (np.rint(corners.board_m[:, :2] / SQUARE_M) % 2 == 0).all(1)
+    sigma = np.where(np.array(corners.cameras)[corners.view] == "cam1", stated, NOISE_PX)[some]
+    few = replace(corners, view=corners.view[some], board_m=corners.board_m[some], pixels=corners.pixels[some], sigma_px=sigma)
+    found = calibrate_rig(few, setups(rig))
+    assert found.member("cam1").rms_px_per_point > 1.08 * found.member("cam1").alone_rms_px_per_point
+    assert not any(member.worse for member in found.members)
+    assert not any("worse than alone" in note or "contradict" in note for note in found.notes)

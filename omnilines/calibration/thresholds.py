@@ -259,11 +259,15 @@ class RigThresholds(NamedTuple):
     as_good_as_alone_factor: float = 1.05
     """Times the noise of each camera alone, up to which its corners fit the rig as well."""
     worse_than_alone_factor: float = 1.08
-    """A camera whose corners fit the rig worse than this many times as well as alone is named."""
+    """A camera whose corners fit the rig worse than this many times as well as alone is named, beyond what fewer poses to follow
+    their noise make of it."""
     named_share: float = 0.1
     """A cause of that is named from this share of the difference on (in squared residuals)."""
     clear_gain: float = 3.0
     """How much more the parameters of a cause have to gain than as many that only fit noise."""
+    one_place_squares: float = 0.1
+    """Frames between which a board has moved by no more (root mean square of its corners) show it at one place, and say once what
+    is wrong there."""
 
 
 class ClockThresholds(NamedTuple):

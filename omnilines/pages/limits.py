@@ -15,7 +15,6 @@ from omnilines.calibration.next_pose import TEN, NextViews
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.rig.links import Link
 from omnilines.calibration.rig.result import RigCalibration
-from omnilines.calibration.thresholds import RigThresholds
 from omnilines.pipelines.copies import is_copy
 from omnilines.records import Advice, Corners, ViewResult
 from omnilines.report.numbers import figure
@@ -213,9 +212,9 @@ SEEN_ALONE = (
 
 
 def _worse_than_alone(result: RigCalibration) -> list[Advice]:
-    ratio = {m.name: m.rms_px_per_point / m.alone_rms_px_per_point for m in result.members if m.alone_rms_px_per_point > 0}
+    ratio = {m.name: m.rms_px_per_point / m.alone_rms_px_per_point for m in result.members if m.worse}
     worst = max(ratio, key=lambda name: ratio[name], default=None)
-    if worst is None or ratio[worst] < RigThresholds().worse_than_alone_factor or len(result.members) < 2:
+    if worst is None:
         return []
     member = result.member(worst)
     px = f"{rounded(member.rms_px_per_point)} px for {rounded(member.alone_rms_px_per_point)}"

@@ -224,6 +224,7 @@ def _members(
                 rms_px_per_axis=math.sqrt(squares / (2 * own.sum())),
                 rms_px_per_point=math.sqrt(squares / own.sum()),
                 alone_rms_px_per_point=outcome.alone_rms_px[k],
+                worse=k in outcome.worse,
                 min_angle_deg=low_deg,
                 max_angle_deg=high_deg,
                 sign_source=outcome.sign_sources.get(c),

@@ -17,6 +17,7 @@ from omnilines.calibration.rig.by_frames import groups_of_frames, spread_of_fram
 from omnilines.calibration.rig.excess import apart
 from omnilines.calibration.rig.joint import RigData, RigFit
 from omnilines.calibration.rig.problem import RigState
+from omnilines.calibration.rig.redundancy import beside_alone
 from omnilines.calibration.rig.refined import refined_rig
 from omnilines.calibration.rig.shutters import Shutters
 from omnilines.calibration.thresholds import CalibrationThresholds
@@ -94,7 +95,8 @@ class RigOutcome:
         data = self.data
         if self.worse or self.shutters is not None or data.readout is not None or data.runs is not None:
             return None
-        groups = groups_of_frames(data, self.fit.points.chosen(self.fit.kept), self.solution.state)
+        points = self.fit.points.chosen(self.fit.kept)
+        groups = groups_of_frames(data, points, self.solution.state, self.thresholds.rig.one_place_squares)
         if groups is None:
             return None
         return contradiction(self.factor, self.solution.cost, self.freedom, groups, self.thresholds.noise.significance)
@@ -115,11 +117,13 @@ class RigOutcome:
     @cached_property
     def worse(self) -> tuple[int, ...]:
         """Members whose corners fit the rig worse than their camera alone."""
+        return self._worse_than(self.data, self.solution.state, self.alone_rms_px)
+
+    def _worse_than(self, data: RigData, state: RigState, alone_px: tuple[float, ...]) -> tuple[int, ...]:
         points, limit = self.fit.points.chosen(self.fit.kept), self.thresholds.rig.worse_than_alone_factor
-        squares, camera = self.solution.state.residual_px(points).square().sum(-1), points.camera[points.view]
-        return tuple(
-            k for k, alone_px in enumerate(self.alone_rms_px) if float(squares[camera == k].mean().sqrt()) > limit * alone_px
-        )
+        squares, camera = state.residual_px(points).square().sum(-1), points.camera[points.view]
+        pairs = enumerate(zip(alone_px, beside_alone(data, points, state), strict=True))
+        return tuple(k for k, (px, by_chance) in pairs if float(squares[camera == k].mean().sqrt()) > limit * by_chance * px)
 
     @property
     def held(self) -> tuple[int, ...]:
@@ -134,14 +138,9 @@ class RigOutcome:
         found = refined_rig(self.data, self.fit, self.solution.state, self.held) if self.worse else None
         if found is None:
             return False
-        (data, solution), points, limit = (
-            found,
-            self.fit.points.chosen(self.fit.kept),
-            self.thresholds.rig.worse_than_alone_factor,
-        )
-        squares, camera = solution.state.residual_px(points).square().sum(-1), points.camera[points.view]
-        alone_px = apart(data, points, solution.state, hold=False).rms_px
-        return all(float(squares[camera == k].mean().sqrt()) <= limit * px for k, px in enumerate(alone_px))
+        data, solution = found
+        alone = apart(data, self.fit.points.chosen(self.fit.kept), solution.state, hold=False)
+        return not self._worse_than(data, solution.state, alone.rms_px)
 
     @cached_property
     def kept_covariance(self) -> Float[Tensor, "q q"]:
@@ -155,7 +154,7 @@ class RigOutcome:
             covariance = covariance / (surer[:, None] * surer).sqrt()
         points = self.fit.points.chosen(self.fit.kept)
         if self.shutters is not None:
-            frames = spread_of_frames(self.data, points, self.solution.state)
+            frames = spread_of_frames(self.data, points, self.solution.state, self.thresholds.rig.one_place_squares)
             spread = None if frames is None else frames.diagonal()
         elif self.data.readout is not None:
             spread = spread_of_runs(self.data, points, self.solution.state)
@@ -176,7 +175,7 @@ class RigOutcome:
         if not self.worse and self.contradiction is None:
             return None
         points = self.fit.points.chosen(self.fit.kept)
-        return spread_of_frames(self.data, points, self.solution.state)
+        return spread_of_frames(self.data, points, self.solution.state, self.thresholds.rig.one_place_squares)
 
     @property
     def frame_factors(self) -> Float[Tensor, " q"] | None:

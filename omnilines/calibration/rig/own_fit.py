@@ -13,6 +13,7 @@ from torch import Tensor
 from omnilines.calibration.initialise import BoardPoints, resect_boards
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.rig.outcome import RigOutcome
+from omnilines.calibration.rig.places import places
 from omnilines.least_squares import Solution
 
 
@@ -29,7 +30,7 @@ class OwnFit:
     weight: Float[Tensor, " k"]
     """Of the corners that are kept."""
     photo: Int[np.ndarray, " n"]
-    """Which photo a corner is of: frames of one run show the board at one place and are one."""
+    """Which photo a corner is of: frames of one run, and those that show the board at one place, are one."""
     solution: Solution[CameraAndBoards]
 
     @property
@@ -51,8 +52,10 @@ def own_fit(outcome: RigOutcome, camera: int) -> OwnFit:
     good = points.chosen(kept)
     begin = CameraAndBoards(own.model, resect_boards(good, own.model.unproject(good.pixels)[0]))
     weight = torch.as_tensor(1 / (own.noise.sigma_px * data.relative[rows]))[kept]
-    photo = corners.view[rows]
+    solution = BoardProblem(good, own.basis, weight).solve(begin)
+    squares = outcome.thresholds.rig.one_place_squares
+    photo = places(solution.state.cam_from_board, points.board, squares)[points.view].numpy()
     if data.runs is not None:
-        run = data.runs.run[photo]
+        run = data.runs.run[corners.view[rows]]
         photo = np.where(run >= 0, -1 - run, photo)
-    return OwnFit(rows, kept, points, weight, photo, BoardProblem(good, own.basis, weight).solve(begin))
+    return OwnFit(rows, kept, points, weight, photo, solution)

@@ -38,6 +38,8 @@ class RigMember:
     rms_px_per_point: float
     alone_rms_px_per_point: float
     """Of the camera calibrated by itself, with the board as the rig has it."""
+    worse: bool
+    """Whether its corners fit the rig worse than that, by more than chance."""
     min_angle_deg: float
     max_angle_deg: float
     sign_source: str | None

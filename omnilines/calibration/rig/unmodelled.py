@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from omnilines.calibration.board_shape import BoardShape
@@ -17,6 +17,7 @@ from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.refine import CameraAndBoards
 from omnilines.calibration.rig.joint import RigData
 from omnilines.calibration.rig.outcome import RigOutcome
+from omnilines.calibration.rig.places import places
 from omnilines.calibration.rig.points import RigPoints
 from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.unmodelled import (
@@ -46,8 +47,11 @@ def rig_unmodelled(
         return None
     points = outcome.fit.points.chosen(outcome.fit.kept)
     some = [k for k, basis in enumerate(data.bases) if basis.shape[1]]
-    tried: dict[tuple[Kind, int | None], Freed | None] = {(kind, None): _of_board(kind, data, points, state) for kind in BOARD}
-    tried |= {(kind, k): _of_lens(kind, k, data, points, state) for kind in OF_LENS for k in some}
+    place = _places(outcome, points)
+    tried: dict[tuple[Kind, int | None], Freed | None] = {
+        (kind, None): _of_board(kind, data, points, state, place) for kind in BOARD
+    }
+    tried |= {(kind, k): _of_lens(kind, k, data, points, state, place) for kind in OF_LENS for k in some}
     found = beyond_chance(tried, outcome.thresholds.degeneracy.misfit_significance)
     if found is None:
         return None
@@ -71,22 +75,35 @@ def rig_unmodelled(
 BOARD: tuple[Kind, ...] = ("flatness", "aspect")
 
 
-def _of_board(kind: Kind, data: RigData, points: RigPoints, state: RigState) -> Freed | None:
+def _places(outcome: RigOutcome, points: RigPoints) -> Int[Tensor, " f"]:
+    """Of every block: frames, or runs of frames, that show the board at one place are wrong alike and count once."""
+    state, blocks = outcome.solution.state, torch.unique(points.frame[points.view])
+    found = torch.zeros(len(state.rig_from_target.translation), dtype=torch.long)
+    if outcome.data.runs is None:
+        found[blocks] = places(state.rig_from_target[blocks], points.board_m, outcome.thresholds.rig.one_place_squares)
+    else:
+        found[blocks] = torch.arange(len(blocks))
+    return found
+
+
+def _of_board(kind: Kind, data: RigData, points: RigPoints, state: RigState, place: Int[Tensor, " f"]) -> Freed | None:
     shape = BoardShape.to_refine((kind,), points.board_m)
     problem = replace(data, shape=shape).problem(points)
     at = problem.linearise(replace(state, shape=shape))
-    each = Groups.of_blocks(problem.structure, at, torch.unique(points.frame[points.view]))
+    blocks = torch.unique(points.frame[points.view])
+    each = Groups.of_blocks(problem.structure, at, blocks).joined(place[blocks])
     first = problem.structure.kept_size - data.ticking - shape.free.shape[1]
     return Freed.of(each, slice(first, first + shape.free.shape[1]))
 
 
-def _of_lens(kind: Kind, member: int, data: RigData, points: RigPoints, state: RigState) -> Freed | None:
-    """By the views of one camera, each with a pose of its own; those of one frame, or run of frames, in which the board hardly
-    moves, are wrong alike and count once."""
+def _of_lens(
+    kind: Kind, member: int, data: RigData, points: RigPoints, state: RigState, place: Int[Tensor, " f"]
+) -> Freed | None:
+    """By the views of one camera, each with a pose of its own; those that show the board at one place count once."""
     own = points.camera[points.view] == member
     views, place = torch.unique(points.view[own], return_inverse=True)
     board = BoardPoints(place, len(views), points.board_m[own], points.pixels[own])
     problem = LensProblem(OF_LENS[kind], board, data.bases[member], points.weight[own])
     poses = state.cam_from_board(points)[views]
     each = problem.by_views(CameraAndBoards(state.models[member], poses))
-    return Freed.of(each.joined(points.frame[views]), slice(data.bases[member].shape[1], None))
+    return Freed.of(each.joined(place[points.frame[views]]), slice(data.bases[member].shape[1], None))
