@@ -324,3 +324,26 @@ def test_hostile_bags_are_refused_in_one_sentence(tmp_path: Path) -> None:
 def test_a_name_that_leads_out_of_the_folder_stays_inside() -> None:
     topic = Topic(Path("a.bag"), 10.0, 1, (4, 4), "/../../etc/image_raw", 0, False)
     assert topic.name == "etc" and _bgr8(np.zeros((2, 2), np.uint8), None).shape == (2, 2, 3)
+
+
+def test_frames_of_a_bag_find_their_poses_in_a_trajectory(tmp_path: Path) -> None:
+    """Their stamps are in frames.csv: the body stood at x = k when the frame k was taken."""
+    store, rng = ROS["ros1"], np.random.default_rng(0)
+    wide = cv2.GaussianBlur(rng.integers(0, 255, (36, 400, 3), dtype=np.uint8), (5, 5), 0)
+    stamps_ns = [BEGIN_NS + k * STEP_NS for k in range(8)]
+    shots = [
+        ("/cam0/image_raw", t, raw(store, t, np.ascontiguousarray(wide[:, 6 * k : 6 * k + 48]), "bgr8"))
+        for k, t in enumerate(stamps_ns)
+    ]
+    bag = write_bag(tmp_path / "a.bag", shots)
+    chosen = ol.frames(f"{bag}:/cam0/image_raw")
+    assert [row.stamp_ns for row in chosen.rows] == [stamps_ns[row.index] for row in chosen.rows]
+    chosen.save(tmp_path / "frames")
+    rows = [f"{t // 10**9}.{t % 10**9:09d} {k}.0 0 0 0 0 0 1" for k, t in enumerate(stamps_ns)]
+    (tmp_path / "trajectory.txt").write_text("\n".join(rows) + "\n")
+    camera = camera_models.OpenCVFisheye([15.0, 15.0, 23.5, 17.5, 0.0, 0.0, 0.0, 0.0], (48, 36))
+    posed = ol.estimate_poses(tmp_path / "frames", camera, tmp_path / "trajectory.txt")
+    assert len(chosen.taken) > 2
+    expected = {row.image: float(row.index) for row in chosen.taken}
+    found = dict(zip(posed.poses.images, posed.poses.cam_from_world.centre[:, 0].tolist(), strict=True))
+    assert found == pytest.approx(expected, abs=1e-6)

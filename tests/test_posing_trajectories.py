@@ -61,7 +61,7 @@ def placed(
 ) -> PhotoPoses:
     tool = pose_file_of(path)
     assert tool is not None
-    return poses_from_tool(path, tool, photos, cameras, camera_of or dict.fromkeys(photos, "cam0"), body)
+    return poses_from_tool(path, tool, photos, cameras, camera_of or dict.fromkeys(photos, "cam0"), body=body)
 
 
 def put(folder: Path, name: str, text: str) -> Path:
@@ -279,7 +279,7 @@ def test_body_counts_with_a_trajectory_only(tmp_path: Path) -> None:
     body = put(tmp_path, "camchain.yaml", KALIBR.format(*[four(Pose.identity())] * 2).split("\n")[0])
     found = ol.estimate_poses(photos, ALONE, path, body=body)
     assert (len(found.poses), found.source, found.unit) == (3, "tool", LengthUnit.METRES)
-    for source in ("sfm", "poses.csv"):
+    for source in ("sfm", "rig"):
         with pytest.raises(InputError, match="`body` was expected with `poses` of a trajectory"):
             ol.estimate_poses(photos, ALONE, source, body=body)
 

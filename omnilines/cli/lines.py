@@ -187,7 +187,8 @@ def reconstruct(
                 ),
                 photos or [], out, split=split, progress=progress,
                 check=lambda sizes: check_videos(
-                    sizes, calibration, poses, options, pattern=pattern, pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m,
+                    sizes, calibration, poses, options, pattern=pattern, body=body, pose_sigma_deg=pose_sigma_deg,
+                    pose_sigma_m=pose_sigma_m,
                 ),
             )  # fmt: skip
 

@@ -158,8 +158,8 @@ def _data(chosen: ChosenFrames) -> dict[str, object]:
         "taken": len(chosen.taken),
         "frames": [
             {"image": row.image, "video": chosen.lenses[row.lens].video.title, "frame": row.index, "time_s": row.time_s,
-             "motion_px": row.motion_px, "sharpness": row.sharpness, "corners": row.corners, "taken": row.taken,
-             "reason": row.reason}
+             "stamp_ns": row.stamp_ns, "motion_px": row.motion_px, "sharpness": row.sharpness, "corners": row.corners,
+             "taken": row.taken, "reason": row.reason}
             for row in chosen.rows
         ],
     }  # fmt: skip

@@ -152,13 +152,14 @@ def check_videos(
     options: SceneOptions,
     *,
     pattern: str | None = None,
+    body: Path | None = None,
     pose_sigma_deg: float | None = None,
     pose_sigma_m: float | None = None,
 ) -> Calibration:
     """The calibration of videos; refuses, before any frame of them is read, what `reconstruct_photos` refuses of their frames.
     Raises InputError."""
     cameras = cameras_of_videos(calibration, sizes)
-    require_source(poses, pattern)
+    require_source(poses, pattern, body)
     check_options(options, cameras, _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine))
     return cameras
 
@@ -230,7 +231,7 @@ def _poses(path: Path, segments: Segments, cameras: Calibration, body: Path | No
     if path.is_dir():
         return poses_from_colmap(path, segments.images, camera_of)
     if tool is not None:
-        return poses_from_tool(path, tool, segments.images, cameras, camera_of, body)
+        return poses_from_tool(path, tool, segments.images, cameras, camera_of, body=body)
     found = poses_from_corners(read_corners(path), cameras, camera_of)
     if found.left_out:
         raise InputError(f"{path}: {next(iter(found.left_out.values()))}")

@@ -52,6 +52,11 @@ class Footage(abc.ABC):
         """Whether its times are by a clock that other footage has too, so that they tell which frames belong together."""
 
     @property
+    @abc.abstractmethod
+    def begins_ns(self) -> int | None:
+        """Its beginning by the clock of the recording, which trajectories have too; None where it tells none."""
+
+    @property
     def duration_s(self) -> float:
         """About; 0 where the file does not say."""
         return self.count / self.frames_per_s

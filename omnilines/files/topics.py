@@ -82,6 +82,11 @@ class Topic(Footage):
         """Header stamps are of one clock, and so is the receipt of messages in one bag."""
         return True
 
+    @property
+    def begins_ns(self) -> int:
+        """The stamp from which times count."""
+        return self.origin_ns
+
     def frames(self, wanted: Collection[int] | None = None) -> Iterator[Frame]:
         """All frames, or those of the indices wanted; messages without an image, and those not later than the one before, are
         left out and not counted."""

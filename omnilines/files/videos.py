@@ -66,6 +66,10 @@ class Video(Footage):
         """Each video begins at 0."""
         return False
 
+    @property
+    def begins_ns(self) -> None:
+        """Containers tell the second at most."""
+
     def frames(self, wanted: Collection[int] | None = None) -> Iterator[Frame]:
         """All frames, or those of the indices wanted, in order; ends where the video does, or where it is damaged."""
         last = None if wanted is None else max(wanted, default=-1)

@@ -194,6 +194,7 @@ def _rows(
             lens=number,
             index=one.index[number],
             time_s=one.time_s[number],
+            stamp_ns=_stamp_ns(lenses[number].video.begins_ns, one.time_s[number]),
             motion_px=one.looks[number].motion_px,
             sharpness=one.looks[number].sharpness,
             corners=one.corners[number],
@@ -203,3 +204,7 @@ def _rows(
         for place, one in enumerate(looked)
         for number in range(len(lenses))
     )
+
+
+def _stamp_ns(begins_ns: int | None, time_s: float) -> int | None:
+    return None if begins_ns is None else begins_ns + round(1e9 * time_s)

@@ -16,9 +16,10 @@ from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from camera_models.typed import typed
-from omnilines.files import Photo, PhotoRef, Photos, photos_of
+from omnilines.files import Photo, PhotoRef, Photos, photo_folder, photos_of
 from omnilines.files.fingerprint import fingerprint, revision
 from omnilines.files.folders import work_folder
+from omnilines.files.frames import read_stamps
 from omnilines.files.kept import read_kept, write_kept
 from omnilines.files.masks import looked_at, mask_files
 from omnilines.options import require_ranges
@@ -76,7 +77,7 @@ def check_source(
         if len(photos) < LEAST_PHOTOS:
             raise InputError(f"`poses` sfm was expected with {LEAST_PHOTOS} photos or more, found {len(photos)}; give more.")
     elif source == "rig" or not from_photos(source):
-        _without_photos(source, [photo.name for photo in photos], cameras, camera_of, body)
+        _without_photos(source, photos, cameras, camera_of, body)
 
 
 def require_source(source: str, pattern: str | None, body: Path | None = None) -> None:
@@ -199,8 +200,7 @@ class _Asked:
 def _found(asked: _Asked, work: str | Path | None, progress: ProgressCallback) -> PhotoPoses:
     """The poses, kept where a folder for that is given and they had to be looked for."""
     if not from_photos(asked.source):
-        names = [photo.name for photo in asked.photos]
-        return _without_photos(asked.source, names, asked.cameras, asked.camera_of, asked.body, asked.options)
+        return _without_photos(asked.source, asked.photos, asked.cameras, asked.camera_of, asked.body, asked.options)
     if work is None:
         with tempfile.TemporaryDirectory() as folder:
             return _looked_for(asked, Path(folder), progress)
@@ -255,20 +255,25 @@ def sides_of(found: FoundArcs, cameras: Calibration) -> BearingArcs:
 
 def _without_photos(
     source: str,
-    names: Sequence[str],
+    photos: Sequence[Photo],
     cameras: Calibration,
     camera_of: Mapping[str, str],
     body: Path | None = None,
     options: PosingOptions = PosingOptions(),
 ) -> PhotoPoses:
     """Poses from a source that does not look into the photos."""
+    names = [photo.name for photo in photos]
     if source == "rig":
         return poses_from_rig(cameras, names, camera_of, instants(names, camera_of))
     if Path(source).is_dir():
         return poses_from_colmap(source, names, camera_of)
     tool = pose_file_of(Path(source))
     if tool is not None:
-        return poses_from_tool(Path(source), tool, names, cameras, camera_of, body, options.given)
+        folder = photo_folder(photos)
+        stamps_ns = {} if folder is None else read_stamps(folder)
+        return poses_from_tool(
+            Path(source), tool, names, cameras, camera_of, stamps_ns=stamps_ns, body=body, options=options.given
+        )
     return from_table(Path(source), names, cameras, camera_of, options)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 from camera_models import Calibration, InputError
 from omnilines.posing.from_trajectory import poses_from_trajectory
@@ -18,18 +19,20 @@ def poses_from_tool(
     photos: Sequence[str],
     cameras: Calibration,
     camera_of: Mapping[str, str],
+    *,
+    stamps_ns: Mapping[str, int] = MappingProxyType({}),
     body: Path | None = None,
     options: GivenOptions = GivenOptions(),
 ) -> PhotoPoses:
     """`cam_from_world` of photos that a tool's file has, in its world and unit; its cameras are not used.
 
-    Names are matched as `photo_names.py` does it, photos to the rows of a trajectory as `from_trajectory.py` does; there `body`
-    may be a file that places the cameras on the body that moves. Raises InputError where the file is damaged or has none of the
-    photos.
+    Names are matched as `photo_names.py` does it, photos to the rows of a trajectory as `from_trajectory.py` does, by `stamps_ns`
+    where these are known; there `body` may be a file that places the cameras on the body that moves. Raises InputError where the
+    file is damaged or has none of the photos.
     """
     own = tool.read(path)
     if own.keys is not Keys.NAMES:
-        return poses_from_trajectory(path, own, photos, cameras, camera_of, body, options)
+        return poses_from_trajectory(path, own, photos, cameras, camera_of, stamps_ns=stamps_ns, body=body, options=options)
     if body is not None:
         raise InputError(
             f"`body` was expected with a trajectory, found it beside {tool.TITLE}, which has poses of photos; leave it out."

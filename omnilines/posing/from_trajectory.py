@@ -13,7 +13,7 @@ from camera_models import Calibration, InputError
 from camera_models.pose import Pose
 from omnilines.geometry.between_poses import left_out_errors, poses_between
 from omnilines.posing.body import mounts
-from omnilines.posing.moments import number_of, time_of, unit_s
+from omnilines.posing.moments import NANOSECOND_S, number_of, time_of, unit_s
 from omnilines.posing.options import GivenOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.tools import Keys, ToolPoses
@@ -26,17 +26,19 @@ def poses_from_trajectory(
     photos: Sequence[str],
     cameras: Calibration,
     camera_of: Mapping[str, str],
+    *,
+    stamps_ns: Mapping[str, int],
     body: Path | None = None,
     options: GivenOptions = GivenOptions(),
 ) -> PhotoPoses:
-    """`cam_from_world` of photos that are named by their time or number.
+    """`cam_from_world` of photos that are named by their time or number, or whose stamps are known.
 
     The trajectory is that of the body on which the file `body` places the cameras; without one that of the camera, with a rig
     that of the rig frame. Between two rows up to `max_gap_s` apart poses are
     interpolated, and a note says how far that errs. Raises InputError where no photo has a pose.
     """
     by_time, mounted = own.keys is Keys.TIMES, mounts(body, cameras)
-    moments = {photo: time_of(photo) if by_time else number_of(photo) for photo in photos}
+    moments = _times_s(own, photos, stamps_ns) if by_time else {photo: number_of(photo) for photo in photos}
     named = {photo: moment for photo, moment in moments.items() if moment is not None}
     lost = {
         photo: f"{photo} has no pose: its name holds no {'time' if by_time else 'number'}, and {path.name} has its poses by them."
@@ -71,8 +73,16 @@ def _none(path: Path, own: ToolPoses, photos: Sequence[str]) -> str:
     given = photos[0] if photos else "none"
     return (
         f"{path}: photos named by a {what} from {first.normalize():f} to {last.normalize():f} (as {example} is) were expected, "
-        f"found {given}; name the photos so, or give their poses as poses.csv."
+        f"found {given}; name the photos so, or give their poses as poses.csv (frames of a bag have times of their own)."
     )
+
+
+def _times_s(own: ToolPoses, photos: Sequence[str], stamps_ns: Mapping[str, int]) -> dict[str, Decimal | None]:
+    """When photos were taken: by their stamps, else by their names, in the unit in which most of these lie in the trajectory."""
+    named = {photo: time_of(photo) for photo in photos if photo not in stamps_ns}
+    unit = unit_s([time for time in named.values() if time is not None], min(own.moments), max(own.moments))
+    times = {photo: None if time is None else time * unit for photo, time in named.items()}
+    return {photo: Decimal(stamps_ns[photo]) * NANOSECOND_S if photo in stamps_ns else times[photo] for photo in photos}
 
 
 _Posed = tuple[list[str], Pose, dict[str, str], tuple[str, ...]]
@@ -94,8 +104,7 @@ def _by_time(
     order = sorted(range(len(own.moments)), key=own.moments.__getitem__)
     start = own.moments[order[0]]
     rows_s = np.array([float(own.moments[k] - start) for k in order])
-    unit = unit_s(list(moments.values()), start, own.moments[order[-1]])
-    times_s = np.array([float(moment * unit - start) for moment in moments.values()]) + np.array(later_s)
+    times_s = np.array([float(moment - start) for moment in moments.values()]) + np.array(later_s)
     world_from_body = own.cam_from_world[order].inverse()
     before, gap_s = _rows_around(rows_s, times_s)
     after = np.minimum(before + 1, len(rows_s) - 1)

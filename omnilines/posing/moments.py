@@ -10,7 +10,8 @@ SPLIT = re.compile(r"(\d{9,10})[_-](\d{9})(?!\d)")
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 LEAST = Decimal("1e9")
 """A whole number below is that of a frame: seconds have had ten digits since 2001, and finer units more."""
-UNITS_S = (Decimal(1), Decimal("1e-3"), Decimal("1e-6"), Decimal("1e-9"))
+NANOSECOND_S = Decimal("1e-9")
+UNITS_S = (Decimal(1), Decimal("1e-3"), Decimal("1e-6"), NANOSECOND_S)
 
 
 def time_of(photo: str) -> Decimal | None:
