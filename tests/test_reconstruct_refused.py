@@ -4,16 +4,22 @@ import shutil
 import sys
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import torch
 from reconstruct_call import call
 
-from camera_models import Calibration, InputError, load, save
+from camera_models import Calibration, InputError, Pinhole, load, save
+from camera_models.formats.calibration_data import RigCamera
+from camera_models.pose import Pose
 from omnilines.cli import main
 from omnilines.commands import reconstruct as command
 from omnilines.commands.render_scene import render_scene
 from omnilines.files import find_photos, read_poses, write_poses
+from omnilines.files.photos import write_png
 from omnilines.pipelines.arcs import extract
 from omnilines.pipelines.poses import estimate_poses
+from omnilines.records import ImagePoses
 
 
 @pytest.fixture(scope="module")
@@ -125,3 +131,25 @@ def test_arcs_are_found_with_the_camera_that_is_named_for_a_photo(room):
     poses = replace(read_poses(room / "poses.csv"), cameras=tuple(named.values()))
     write_poses(room / "named.csv", poses)
     assert estimate_poses(room / "photos", cameras, room / "named.csv").poses.cameras == poses.cameras
+
+
+@pytest.mark.parametrize(
+    ("poses", "more"), [("rig", "take photos of more instants, with --poses sfm"), ("poses.csv", "give more")]
+)
+def test_two_photos_are_refused_before_they_are_looked_at(tmp_path, capsys, monkeypatch, poses: str, more: str) -> None:
+    """Arcs were found in them first; of a rig more photos were asked for, which its poses refuse."""
+    monkeypatch.setattr(command, "extract", None)
+    lens = Pinhole.from_mapping({"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5}, (64, 48))
+    rig = {
+        "left": RigCamera(Pose.identity()),
+        "right": RigCamera(Pose.exp(torch.tensor([0.0, 0.0, 0.0, -0.1, 0.0, 0.0], dtype=torch.float64))),
+    }
+    save(tmp_path / "calibration.yaml", Calibration(dict.fromkeys(rig, lens), {}, rig))
+    for camera in rig:
+        (tmp_path / "photos" / camera).mkdir(parents=True)
+        write_png(tmp_path / "photos" / camera / f"{camera}1.png", np.zeros((48, 64), dtype=np.uint8))
+    names = ("left/left1.png", "right/right1.png")
+    write_poses(tmp_path / "poses.csv", ImagePoses(names, Pose.identity(2), ("left", "right")))
+    assert call(tmp_path / "photos", tmp_path, tmp_path / "scene", poses=poses) == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert "3 photos or more were expected to rebuild lines, found 2;" in said and more in said

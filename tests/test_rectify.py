@@ -187,6 +187,24 @@ def test_several_cameras(rendered, tmp_path, capsys) -> None:
     assert read_poses(tmp_path / "x/poses.csv").frames == ("7", "8")
 
 
+def test_poses_of_another_tool_are_taken_and_photos_that_it_did_not_place_left_out(rendered, tmp_path, capsys) -> None:
+    """They had to be made a poses.csv first; photos without a pose had to be taken out of their folder."""
+    scene, folder = rendered
+    first, name = scene.poses.cam_from_world.inverse()[0], scene.poses.images[0]
+    matrix = np.vstack([np.column_stack([first.rotation.numpy(), first.translation.numpy()]), [0.0, 0.0, 0.0, 1.0]])
+    frame = {"file_path": f"./{name}", "transform_matrix": (matrix @ np.diag([1.0, -1.0, -1.0, 1.0])).tolist()}
+    (tmp_path / "transforms.json").write_text(json.dumps({"camera_model": "OPENCV_FISHEYE", "frames": [frame]}))
+    base = ["rectify", folder, "--calibration", f"{folder}/calibration.yaml", "--size", "60x40", "--out", str(tmp_path / "out")]
+    assert run(*base, "--poses", str(tmp_path / "transforms.json")) == 0
+    assert f"{scene.poses.images[1]} is left out" in " ".join(capsys.readouterr().err.split())
+    views = read_poses(tmp_path / "out" / "poses.csv")
+    assert views.images == (name,)
+    torch.testing.assert_close(views.cam_from_world.translation, scene.poses.cam_from_world.translation[:1], atol=1e-9, rtol=0)
+    assert (tmp_path / "out" / "colmap" / "images.txt").is_file()
+    assert run(*base, "--poses", "sfm") == 2
+    assert "run omnilines reconstruct with --poses sfm first" in " ".join(capsys.readouterr().err.split())
+
+
 def test_wrong_inputs_are_named(rendered, tmp_path, capsys) -> None:
     scene, folder = rendered
     one = ImagePoses(scene.poses.images[:1], scene.poses.cam_from_world[:1])

@@ -72,7 +72,12 @@ def rectify(
     out: Out,
     view: Annotated[str, typer.Option("--view", help="perspective, cylindrical, panorama or cube.")] = "perspective",
     poses: Annotated[
-        Path | None, typer.Option("--poses", help="poses.csv of the photos: the poses of the views are written too.")
+        Path | None,
+        typer.Option(
+            "--poses",
+            help="poses.csv, a COLMAP model's folder, or a file of Metashape, Nerfstudio, OpenMVG or OpenSfM: the poses of the "
+            "views are written too.",
+        ),
     ] = None,
     fov_deg: Annotated[
         float | None, typer.Option("--fov-deg", help="Angle across a perspective (90) or cylindrical (360) view, degrees.")

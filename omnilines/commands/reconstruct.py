@@ -29,6 +29,7 @@ from omnilines.files.masks import mask_files, with_masks
 from omnilines.files.orientation import turned_note
 from omnilines.files.recording import rerun_module, write_recording
 from omnilines.files.sets import claimed
+from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pages.scene import scene_data, scene_sections, scene_summary
 from omnilines.pipelines.adjust import adjust
 from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
@@ -97,6 +98,7 @@ def reconstruct_photos(
     distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
     folder = Path(out)
     check_source(poses, refs, cameras, camera_of, pattern, body)
+    _require_enough(refs, poses)
     prior = _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine)
     check_options(options, cameras, prior)
     if colmap:
@@ -196,6 +198,19 @@ def reconstruct_segments(
     scene = adjust(table, posed, cameras, options, robust=robust, pose_sigma=prior, inputs=inputs, progress=progress)
     with claimed(out, names, read, by=SCENE):
         return _written(out, scene, False, False, progress)
+
+
+def _require_enough(photos: Sequence[Photo], poses: str) -> None:
+    """Raises InputError where photos are too few for any line to be confirmed."""
+    if len(photos) >= FIRST_VIEWS:
+        return
+    more = "give more."
+    if poses == "rig":
+        more = (
+            "a rig of two cameras sees every line from two places at an instant, which nothing confirms: take photos of more "
+            "instants, with `poses` sfm."
+        )
+    raise InputError(f"{FIRST_VIEWS} photos or more were expected to rebuild lines, found {len(photos)}; {more}")
 
 
 def _given(segments: Path | None, mask: Path | None, photos: Sequence[Photo], camera_of: Mapping[str, str]) -> Segments | None:

@@ -8,24 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from camera_models import Calibration
+from camera_models import Calibration, InputError
 from camera_models.views import views
 from camera_models.wording import listed, rounded
 from omnilines.commands.camera_videos import Sizes, cameras_of_videos
 from omnilines.commands.result import CommandResult
 from omnilines.extraction import ExtractionOptions
-from omnilines.files import find_photos, read_poses
+from omnilines.files import PhotoRef, find_photos, read_poses
 from omnilines.files.cameras import calibration_files, read_cameras
 from omnilines.files.colmap_scene import check_colmap_folder
 from omnilines.files.folders import WORK, check_output_folder, check_results, check_work_folder
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pipelines.arcs import SHORT_ARCS
+from omnilines.pipelines.poses import estimate_poses, from_photos, kind_of
 from omnilines.pipelines.rectified import COLMAP_VIEWS, LEVELS, RectifiedViews
 from omnilines.pipelines.rectify import rectify as pipeline
 from omnilines.pipelines.upright import Level
+from omnilines.posing.tools import TITLES
 from omnilines.progress import ProgressCallback, silent
-from omnilines.records import Summary
+from omnilines.records import Detail, ImagePoses, Summary
 from omnilines.structure.options import DirectionsOptions
 
 
@@ -55,7 +57,7 @@ def rectify(
     refs = find_photos(photos)
     cameras = read_cameras(calibration, refs)
     require_distinct_stems(refs)
-    table = None if poses is None else read_poses(poses)
+    table, refs, unposed = _posed(poses, refs, cameras)
     asked = {"fov_deg": fov_deg, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "distance_m": distance_m}
     folder = Path(out)
     check_output_folder(folder)
@@ -75,7 +77,26 @@ def rectify(
     )  # fmt: skip
     with claimed(folder, made.names_in(folder), read, by="rectify", kept=made.views_that_stay(folder)):
         result = _result(made, made.save(folder, progress), folder)
-    return replace(result, details=made.left_out, photos=len(refs))
+    return replace(result, details=(*unposed, *made.left_out), photos=len(refs) + len(unposed))
+
+
+def _posed(
+    given: str | Path | None, photos: list[PhotoRef], cameras: Calibration
+) -> tuple[ImagePoses | None, list[PhotoRef], tuple[Detail, ...]]:
+    """The poses given, if any, the photos of which views are made, and of a COLMAP model or another tool's file the photos that
+    it could not place."""
+    if given is None:
+        return None, photos, ()
+    if from_photos(str(given)):
+        raise InputError(
+            f"`poses` was expected as a poses.csv, a COLMAP model's folder, {TITLES}, found {given}, which looks for poses: run "
+            f"omnilines reconstruct with --poses {given} first, and give the poses.csv that it writes."
+        )
+    if not Path(given).exists() or kind_of(str(given)) == "table":
+        return read_poses(given), photos, ()
+    posed = estimate_poses(photos, cameras, given)
+    lost = tuple(Detail(name, f"{name} is left out: {why}") for name, why in posed.left_out.items())
+    return posed.poses, [photo for photo in photos if photo.name not in posed.left_out], lost
 
 
 def check_videos(
