@@ -10,12 +10,12 @@ from calib_patterns import pattern as parse_pattern
 from camera_models import Calibration, GeometryError, InputError, OpenCVFisheye
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
-from omnilines.pipelines.instant_names import instants
 from omnilines.pipelines.pose_tables import unit_of_poses, unpaired_note
 from omnilines.pipelines.render import RenderOptions, render_targets
 from omnilines.posing.from_boards import is_mirrored, poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_rig import complete_from_rig, poses_from_rig
+from omnilines.posing.instant_names import instants
 from omnilines.posing.photo_poses import align_to, moved_poses
 from omnilines.records import ImagePoses, LengthUnit
 from omnilines.scenes import scene_camera

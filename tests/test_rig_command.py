@@ -24,8 +24,8 @@ from omnilines.cli.values import parse_each
 from omnilines.files import is_rig_table, read_corners, read_rig_corners, write_corners
 from omnilines.pages.rig_figures import rig_summaries
 from omnilines.pipelines.detect_rig import is_rig
-from omnilines.pipelines.instant_names import frame_of
 from omnilines.pipelines.rig_corners import RigCorners
+from omnilines.posing.instant_names import frame_of
 
 SIZES = "cam0=1280x960,cam1=1020x1000,cam2=640x480"
 MODELS = "cam0=pinhole,cam1=opencv-fisheye,cam2=scaramuzza"

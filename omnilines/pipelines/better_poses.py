@@ -20,11 +20,11 @@ from omnilines.matching.match import Matched
 from omnilines.matching.placing import explained_share, lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.shared_directions import turned_poses
 from omnilines.matching.slack import Evidence, evidence_of_poses, lines_need_poses
-from omnilines.pipelines.instant_names import instants
 from omnilines.pipelines.judged_photos import refuse_reading
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs, viewed_arcs
 from omnilines.posing.from_rig import cam_from_rig_of
+from omnilines.posing.instant_names import instants
 from omnilines.posing.photo_poses import PhotoPoses, align_to, image_poses
 from omnilines.progress import ProgressCallback, on_all_cores
 from omnilines.records import ImagePoses

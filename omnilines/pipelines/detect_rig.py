@@ -21,10 +21,10 @@ from omnilines.files.frames import times_of
 from omnilines.files.videos import find_videos
 from omnilines.options import require_ranges
 from omnilines.pipelines.detect import detect
-from omnilines.pipelines.instant_names import frame_of
 from omnilines.pipelines.photo_corners import CORNERS, IN_MEMORY, PhotoCorners
 from omnilines.pipelines.recognise import as_printed
 from omnilines.pipelines.rig_corners import SHOWN_NAMES, CameraCorners, RigCorners
+from omnilines.posing.instant_names import frame_of
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Corners
 

@@ -12,9 +12,9 @@ from camera_models.errors import OmnilinesError
 from camera_models.wording import listed
 from omnilines.files import is_corners_table, read_corners, read_poses
 from omnilines.files.scene_folder import UNIT_KEY, stated_up
-from omnilines.pipelines.instant_names import instants
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rig import complete_from_rig
+from omnilines.posing.instant_names import instants
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.tools import pose_file_of

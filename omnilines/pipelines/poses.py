@@ -25,7 +25,6 @@ from omnilines.files.masks import looked_at, mask_files
 from omnilines.options import require_ranges
 from omnilines.pipelines.arcs import calibration_of, cameras_of_photos, extract
 from omnilines.pipelines.copies import is_copy, without_copies
-from omnilines.pipelines.instant_names import instants
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs, require_cameras_of
 from omnilines.pipelines.pose_tables import from_table, named_cameras, unit_of_poses, unpaired_note, up_of_file
 from omnilines.pipelines.recognise import as_printed
@@ -35,6 +34,7 @@ from omnilines.posing.from_colmap import poses_from_colmap
 from omnilines.posing.from_rectangles import poses_from_rectangles
 from omnilines.posing.from_rig import poses_from_rig
 from omnilines.posing.from_tool import poses_from_tool
+from omnilines.posing.instant_names import instants
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import PREFIX, parse_rectangle
@@ -52,7 +52,7 @@ MADE_BY = (
     "calib_patterns",
     *(f"omnilines.{part}" for part in ("geometry", "least_squares", "matching", "posing")),
 )
-"""Whose source decides what poses are found in photos, beside this module and that of `instants`."""
+"""Whose source decides what poses are found in photos, beside this module."""
 
 
 def from_photos(source: str) -> bool:
@@ -302,9 +302,7 @@ def _made_from(asked: _Asked) -> str:
             seen.update(np.packbits(photo.mask).tobytes())
     options = repr((asked.source, asked.pattern, asked.options.stated, asked.seed, names, masks, known, rig, seen.hexdigest()))
     files = [*(photo.path for photo in asked.photos if isinstance(photo, PhotoRef)), *of_masks]
-    return fingerprint(
-        files, options, revision(*MADE_BY, __name__, as_printed.__module__, instants.__module__, looked_at.__module__)
-    )
+    return fingerprint(files, options, revision(*MADE_BY, __name__, as_printed.__module__, looked_at.__module__))
 
 
 def _angles_deg(cameras: Calibration, name: str) -> tuple[float, float | None]:

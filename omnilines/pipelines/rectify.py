@@ -26,9 +26,9 @@ from omnilines.files.photos import READ_BYTES_PER_PIXEL
 from omnilines.options import require_ranges
 from omnilines.photo_size import wrong_size
 from omnilines.pipelines.arcs import SHORT_ARCS, calibration_of, cameras_of_photos, none_usable
-from omnilines.pipelines.instant_names import instants
 from omnilines.pipelines.rectified import Grids, OneView, RectifiedViews, cam_from_axis, view_from_camera
 from omnilines.pipelines.upright import Level, Levels, levels_of
+from omnilines.posing.instant_names import instants
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, on_all_cores, silent
 from omnilines.records import Detail, ImagePoses

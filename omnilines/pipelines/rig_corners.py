@@ -15,8 +15,8 @@ from camera_models.wording import listed
 from omnilines.calibration.numbering import Numbering
 from omnilines.files import write_corners
 from omnilines.files.sets import claimed
-from omnilines.pipelines.instant_names import frame_of
 from omnilines.pipelines.photo_corners import CORNERS, IN_MEMORY, PhotoCorners, require_once
+from omnilines.posing.instant_names import frame_of
 from omnilines.records import Corners, ViewResult
 
 SHOWN_NAMES = 5

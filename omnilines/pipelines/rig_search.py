@@ -13,9 +13,9 @@ from camera_models.pose import Pose
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.pipelines.detect import search_again
 from omnilines.pipelines.detect_rig import corners_of_cameras
-from omnilines.pipelines.instant_names import frame_of
 from omnilines.pipelines.photo_corners import PhotoCorners
 from omnilines.pipelines.rig_corners import CameraCorners, RigCorners
+from omnilines.posing.instant_names import frame_of
 from omnilines.progress import ProgressCallback
 
 SAME_CORNER_M = 1e-6

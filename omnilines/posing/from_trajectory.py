@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from decimal import Decimal
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,6 +13,7 @@ from camera_models import Calibration, InputError
 from camera_models.pose import Pose
 from omnilines.geometry.between_poses import left_out_errors, poses_between
 from omnilines.posing.body import mounts
+from omnilines.posing.instant_names import instants
 from omnilines.posing.moments import NANOSECOND_S, number_of, time_of, unit_s
 from omnilines.posing.options import GivenOptions
 from omnilines.posing.photo_poses import PhotoPoses
@@ -54,7 +55,8 @@ def poses_from_trajectory(
     lost |= reasons
     names = [camera_of[photo] for photo in kept]
     cam_from_world = Pose.stack([mounted[name].cam_from_body for name in names]) @ poses
-    frames = tuple(PurePosixPath(photo).stem for photo in kept) if cameras.rig else None
+    frame_of = instants(photos, camera_of)
+    frames = tuple(frame_of[photo] for photo in kept) if cameras.rig else None
     whose = "rig frame" if cameras.rig else "camera"
     notes = ("Lengths of the trajectory are read as metres; those of one camera alone have a scale of their own.", *notes)
     if body is None:
