@@ -6,6 +6,8 @@ import inspect
 import itertools
 import math
 import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -25,11 +27,14 @@ from omnilines.cli import main
 from omnilines.commands.frames import with_frames
 from omnilines.commands.result import CommandResult
 from omnilines.files import find_photos
+from omnilines.files.footage import Footage, Frame
 from omnilines.files.split import Split
 from omnilines.files.videos import Video, find_videos, together
 from omnilines.footage.alignment import lead_s, put_together
 from omnilines.footage.options import FrameOptions
 from omnilines.footage.stillness import spaced
+from omnilines.pipelines.instants import Lens, instants_of
+from omnilines.progress import silent
 
 BOARD = "checkerboard:8x6:30mm"
 LENS = camera_models.OpenCVFisheye([120.0, 120.0, 191.5, 143.5, 0.02, -0.004, 0.0, 0.0], (384, 288))
@@ -271,6 +276,38 @@ def test_videos_of_other_rates_are_put_together_by_time(tmp_path: Path) -> None:
     # Of the faster one first, no frame of the slower stands in two instants.
     swapped = put_together(times_s[::-1], [0.0, 0.0])
     assert len({slower for _, slower in swapped}) == len(swapped) >= 28
+
+
+@dataclass(frozen=True)
+class _Timed(Footage):
+    """Frames of the same grey at some times, as a video whose frame rate varies."""
+
+    times_s: tuple[float, ...] = ()
+    title, name, stamped = "", "", False
+
+    def frames(self, wanted: Collection[int] | None = None) -> Iterator[Frame]:
+        for k, time_s in enumerate(self.times_s):
+            if wanted is None or k in wanted:
+                yield Frame(k, time_s, np.full((48, 64, 3), k % 2, np.uint8))
+
+    def doubts(self, times_s: np.ndarray) -> tuple[str, ...]:
+        return ()
+
+
+def test_videos_whose_frame_rate_varies_are_put_together_by_time() -> None:
+    """Two phones that drop as many frames, each at another time: of one rate and length, but not frame by frame."""
+    every = np.arange(60) / 30.0
+    times_s = [tuple(np.delete(every, dropped).tolist()) for dropped in (range(10, 16), range(40, 46))]
+    videos = [_Timed(Path(f"{k}.mp4"), 27.0, 54, (64, 48), own) for k, own in enumerate(times_s)]
+    found, _ = instants_of([Lens(video, None, 0, str(k)) for k, video in enumerate(videos)], OPTIONS, silent)
+    assert all(abs(instant.time_s[0] - instant.time_s[1]) < 0.5 / 30.0 for instant in found)
+    # What one of them dropped no instant shows.
+    assert len(found) == 48
+    # Frames that jitter by less than half the gap between them are of one number.
+    rng = np.random.default_rng(0)
+    steady = [_Timed(Path(f"{k}.mp4"), 30.0, 60, (64, 48), tuple((every + rng.uniform(0, 0.01, 60)).tolist())) for k in (0, 1)]
+    found, _ = instants_of([Lens(video, None, 0, str(k)) for k, video in enumerate(steady)], OPTIONS, silent)
+    assert [instant.index for instant in found] == [(k, k) for k in range(60)]
 
 
 def test_telling_instants_are_nearly_the_best(seed: int = 0) -> None:

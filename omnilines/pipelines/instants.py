@@ -1,9 +1,11 @@
 """Videos -> instants: how every frame looks, and which frames of several videos are of the same instant."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from camera_models import InputError
 from omnilines.files.footage import Footage
@@ -75,8 +77,8 @@ def instants_of(
 ) -> tuple[list[Instant], tuple[str, ...]]:
     """The instants that all lenses show, in order, and what a person should know of how they were put together.
 
-    Videos of one rate and length belong together frame by frame, others by time from their beginnings, unless the motion in them
-    says that one began earlier; topics of bags by their stamps.
+    Videos of one rate and length whose frames are of the same times belong together frame by frame, others by time from their
+    beginnings, unless the motion in them says that one began earlier; topics of bags by their stamps.
     """
     videos = tuple(dict.fromkeys(lens.video for lens in lenses))
     total = sum(video.count for video in videos)
@@ -123,7 +125,7 @@ def _numbers(
             )
         return paired, ()
     first, leads_s, notes = measured[0], [0.0], list[str]()
-    by_number = all(alike(videos[0], video) for video in videos)
+    by_number = all(alike(videos[0], video) for video in videos) and _in_step([one.time_s for one in measured])
     for video, other in zip(videos[1:], measured[1:], strict=True):
         found = lead_s(first.time_s, first.speed_px, other.time_s, other.speed_px, options.least_overlap, options.significance)
         leads_s.append(found or 0.0)
@@ -138,3 +140,11 @@ def _numbers(
     if by_number and not any(leads_s):
         return [(k,) * len(videos) for k in range(min(len(one.time_s) for one in measured))], tuple(notes)
     return put_together([one.time_s for one in measured], leads_s, options.most_gap_share), tuple(notes)
+
+
+def _in_step(times_s: Sequence[Float[np.ndarray, " _"]]) -> bool:
+    """Whether frames of one number are of one time, to half the usual gap: phones drop a frame each where they like, so that
+    their frame rate varies and numbers go apart, even where in the end as many are missing in both."""
+    first, count = times_s[0], min(len(own) for own in times_s)
+    most_s = 0.5 * float(np.median(np.diff(first))) if len(first) > 1 else math.inf
+    return all(bool((np.abs(own[:count] - first[:count]) <= most_s + 1e-9).all()) for own in times_s)
