@@ -86,18 +86,18 @@ def _places(outcome: RigOutcome, points: RigPoints) -> Int[Tensor, " f"]:
     return found
 
 
-def _of_board(kind: Kind, data: RigData, points: RigPoints, state: RigState, place: Int[Tensor, " f"]) -> Freed | None:
+def _of_board(kind: Kind, data: RigData, points: RigPoints, state: RigState, at_place: Int[Tensor, " f"]) -> Freed | None:
     shape = BoardShape.to_refine((kind,), points.board_m)
     problem = replace(data, shape=shape).problem(points)
     at = problem.linearise(replace(state, shape=shape))
     blocks = torch.unique(points.frame[points.view])
-    each = Groups.of_blocks(problem.structure, at, blocks).joined(place[blocks])
+    each = Groups.of_blocks(problem.structure, at, blocks).joined(at_place[blocks])
     first = problem.structure.kept_size - data.ticking - shape.free.shape[1]
     return Freed.of(each, slice(first, first + shape.free.shape[1]))
 
 
 def _of_lens(
-    kind: Kind, member: int, data: RigData, points: RigPoints, state: RigState, place: Int[Tensor, " f"]
+    kind: Kind, member: int, data: RigData, points: RigPoints, state: RigState, at_place: Int[Tensor, " f"]
 ) -> Freed | None:
     """By the views of one camera, each with a pose of its own; those that show the board at one place count once."""
     own = points.camera[points.view] == member
@@ -106,4 +106,4 @@ def _of_lens(
     problem = LensProblem(OF_LENS[kind], board, data.bases[member], points.weight[own])
     poses = state.cam_from_board(points)[views]
     each = problem.by_views(CameraAndBoards(state.models[member], poses))
-    return Freed.of(each.joined(place[points.frame[views]]), slice(data.bases[member].shape[1], None))
+    return Freed.of(each.joined(at_place[points.frame[views]]), slice(data.bases[member].shape[1], None))
