@@ -12,6 +12,7 @@ import torch
 from matching_scenes import MatchingScene, room
 
 from camera_models import Calibration, GeometryError
+from camera_models.pose import Pose
 from omnilines.files import PhotoRef
 from omnilines.geometry.line import PlueckerLines
 from omnilines.pipelines.advice import advice
@@ -20,6 +21,7 @@ from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import KeptLineOptions, SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs
+from omnilines.pipelines.still_camera import rig_that_stood_still
 from omnilines.progress import silent
 from omnilines.records import ImagePoses
 
@@ -143,6 +145,27 @@ def test_arcs_that_stay_where_they_are_go_along_with_a_camera_that_photos_place(
     assert by_photos[0].limit.startswith("50 % of the arcs in no line stay") and "go along with the camera" in by_photos[0].limit
     assert "`mask`" in by_photos[0].do and "the camera stood still" in by_boards[0].limit
     assert not any("stay where they are" in one.limit for one in advice(found, 0.1, "sfm", (), options, silent))
+
+
+@pytest.mark.parametrize(("walked_m", "stood"), [(0.001, True), (0.5, False)])
+def test_a_rig_that_stood_still_while_a_board_moved_is_told(walked_m: float, stood: bool) -> None:
+    """It was called a vehicle that the camera sees."""
+    found, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines", "poses"))
+    count = len(found.scene.poses) // 2
+    names = found.scene.poses.images[: 2 * count]
+    place = torch.zeros(2 * count, 3, dtype=torch.float64)
+    place[:, 0] = 0.1 * torch.arange(2 * count).remainder(2)
+    place[:, 1] = walked_m * torch.arange(2 * count).div(2, rounding_mode="floor")
+    poses = ImagePoses(
+        names, Pose(Pose.identity(2 * count).rotation, place), ("left", "right") * count, None,
+        tuple(str(k // 2) for k in range(2 * count)),
+    )  # fmt: skip
+    told = rig_that_stood_still(poses, options.advice.rig_still)
+    assert (told is not None) == stood
+    if told is not None:
+        assert told[0] <= walked_m * count and told[1] == pytest.approx(0.1)
+        kept = replace(found, scene=replace(found.scene, poses=poses))
+        assert advice(kept, 0.5, "sfm", (), options, silent)[0].limit.startswith("The rig stood still: half of its instants are")
 
 
 def test_a_room_without_clutter_keeps_all_lines() -> None:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from camera_models.pose import Pose
-from omnilines.pipelines.moved_photos import moved_photos
+from omnilines.pipelines.moved_photos import photos_far_from_given
 from omnilines.pipelines.options import MovedOptions
 from omnilines.records import Advice, ImagePoses, LengthUnit, PhotoCount
 
@@ -34,7 +34,7 @@ def told(
 ) -> tuple[tuple[Advice, ...], frozenset]:
     """Of refined poses, where a table gives to each photo the pose of one of these rows, with errors."""
     stated = ImagePoses(NAMES, shaken(given, seed)[torch.tensor(rows)])
-    return moved_photos(stated, ImagePoses(NAMES, given), {}, LengthUnit.METRES, MovedOptions())
+    return photos_far_from_given(stated, ImagePoses(NAMES, given), {}, LengthUnit.METRES, MovedOptions())
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -77,9 +77,9 @@ def test_a_photo_that_is_hardly_known_is_not_named() -> None:
     given = Pose.stack([away[0] if k == 4 else stated[k] for k in rows])
     covariance = np.tile(np.diag([1e-6] * 3 + [1e-4] * 3), (COUNT, 1, 1))
     final, options = ImagePoses(NAMES, poses, None, covariance), MovedOptions()
-    assert moved_photos(ImagePoses(NAMES, given), final, {}, LengthUnit.METRES, options)[1] == {"4.png"}
+    assert photos_far_from_given(ImagePoses(NAMES, given), final, {}, LengthUnit.METRES, options)[1] == {"4.png"}
     covariance[4, 3:, 3:] *= 1e3
-    assert moved_photos(ImagePoses(NAMES, given), final, {}, LengthUnit.METRES, options) == ((), frozenset())
+    assert photos_far_from_given(ImagePoses(NAMES, given), final, {}, LengthUnit.METRES, options) == ((), frozenset())
 
 
 def test_a_photo_that_lines_hardly_explain_where_it_is_now_says_so() -> None:
@@ -87,7 +87,7 @@ def test_a_photo_that_lines_hardly_explain_where_it_is_now_says_so() -> None:
     rows[4] = 9
     stated = ImagePoses(NAMES, shaken(poses, 0)[torch.tensor(rows)])
     count = PhotoCount("4.png", 62, *[5] * 5)
-    ((advice,), _) = moved_photos(stated, ImagePoses(NAMES, poses), {"4.png": count}, LengthUnit.OPEN, MovedOptions())
+    ((advice,), _) = photos_far_from_given(stated, ImagePoses(NAMES, poses), {"4.png": count}, LengthUnit.OPEN, MovedOptions())
     assert "(even there lines explain 5 of its 62 arcs)" in advice.limit
 
 
@@ -104,6 +104,6 @@ def test_the_photos_of_an_instant_are_one() -> None:
         each = [pose for k in range(COUNT) for pose in (one[k], (beside @ one[[k]])[0])]
         return ImagePoses(names, Pose.stack(each), None, None, frames)
 
-    ((advice,), photos) = moved_photos(both(stated), both(poses), {}, LengthUnit.METRES, MovedOptions())
+    ((advice,), photos) = photos_far_from_given(both(stated), both(poses), {}, LengthUnit.METRES, MovedOptions())
     assert photos == {"left/4.png"} and "slipped" not in advice.limit
-    assert not moved_photos(replace(both(poses), frames=None), both(poses), {}, LengthUnit.METRES, MovedOptions())[0]
+    assert not photos_far_from_given(replace(both(poses), frames=None), both(poses), {}, LengthUnit.METRES, MovedOptions())[0]

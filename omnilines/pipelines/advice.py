@@ -18,6 +18,7 @@ from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.frame import SFM
 from omnilines.pipelines.kept_lines import KeptLines, shared_lines, shown_at, shown_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
+from omnilines.pipelines.still_camera import rig_that_stood_still
 from omnilines.progress import ProgressCallback
 from omnilines.records import Advice, ImagePoses, PhotoCount
 
@@ -60,7 +61,8 @@ def advice(
     stays = still > options.advice.still
     if stays and source != SFM:
         return (*_still(still), *_by_chance(scene, options.advice))
-    carried = _carried_along(still) if stays else ()
+    rig = rig_that_stood_still(scene.scene.poses, options.advice.rig_still) if source == SFM else None
+    carried = _rig_stood_still(*rig, scene.scene.lines.unit.sign) if rig else _carried_along(still) if stays else ()
     if not scene.matched.beyond_chance:
         # What agrees by chance tells nothing of single photos.
         return carried
@@ -82,6 +84,16 @@ def _still(share: float) -> tuple[Advice, ...]:
         "stood still."
     )
     return (Advice(told, "Only what was moved is rebuilt. Leave the board where it is, and move the camera."),)
+
+
+def _rig_stood_still(off: float, apart: float, sign: str) -> tuple[Advice, ...]:
+    """A rig of which all instants show the same from the same places."""
+    told = (
+        f"The rig stood still: half of its instants are within {rounded(off)} {sign} of one place, where its cameras are "
+        f"{rounded(apart)} {sign} apart. What moved is not rebuilt, and the rest is seen from the places of its cameras alone."
+    )
+    do = "Move the rig between instants, by more than its cameras are apart; for a board that was moved, give `poses` boards."
+    return (Advice(told, do),)
 
 
 def _carried_along(share: float) -> tuple[Advice, ...]:

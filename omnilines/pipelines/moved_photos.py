@@ -22,7 +22,7 @@ ALIGNMENTS = 4
 """Rounds in which photos that stand out are left out of what tells the world."""
 
 
-def moved_photos(
+def photos_far_from_given(
     given: ImagePoses, final: ImagePoses, weak: Mapping[str, PhotoCount], unit: LengthUnit, options: MovedOptions
 ) -> tuple[tuple[Advice, ...], frozenset[str]]:
     """What is to be said of photos that are far from their given poses, and their names; `weak` are those that lines hardly

@@ -108,13 +108,16 @@ class AdviceOptions(NamedTuple):
     (OpenCV's LSD places edges so far to the left and up)."""
     start_rad: float = math.radians(2.5)
     """Turns about each axis from which a better pose is looked for."""
+    rig_still: float = 0.2
+    """Share of the distance between the cameras of a rig within which half of its instants lie where it is said to have stood
+    still."""
     still: float = 0.3
     """Share of the arcs in no line that do not move in the image, while the lines do, above which the camera is said to have
     stood still (0.4 in two real sets where it did, up to 0.2 in others)."""
 
 
 class MovedOptions(NamedTuple):
-    """When photos are named whose refined poses lie far from those given (`moved_photos`)."""
+    """When photos are named whose refined poses lie far from those given (`photos_far_from_given`)."""
 
     times: float = 10.0
     """Times the median turn, or move, of all photos from which on one is named."""

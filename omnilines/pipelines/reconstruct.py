@@ -44,7 +44,7 @@ from omnilines.pipelines.frame_notes import frame_notes, unplaced_notes
 from omnilines.pipelines.judged_photos import READ, doubted_photos, refuse_reading
 from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
-from omnilines.pipelines.moved_photos import moved_photos
+from omnilines.pipelines.moved_photos import photos_far_from_given
 from omnilines.pipelines.options import SceneOptions
 from omnilines.pipelines.parallel_lines import guided_lines, with_rms
 from omnilines.pipelines.part_workers import check_partition, matching_workers, part_workers
@@ -289,7 +289,7 @@ def _of_moved(
     if posed.source == SFM or "poses" not in options.refine or not found.matched.beyond_chance:
         return (), frozenset()
     weak = {photo.image: photo for photo in weak_photos(found.photos, options.advice.hardly_explained)}
-    return moved_photos(stated, found.scene.poses, weak, posed.unit, options.moved)
+    return photos_far_from_given(stated, found.scene.poses, weak, posed.unit, options.moved)
 
 
 def _of_given(posed: PhotoPoses, found: KeptLines, known: KnownPoses | None, options: SceneOptions) -> tuple[str, ...]:
