@@ -89,8 +89,8 @@ def _still(share: float) -> tuple[Advice, ...]:
 def _rig_stood_still(off: float, apart: float, sign: str) -> tuple[Advice, ...]:
     """A rig of which all instants show the same from the same places."""
     told = (
-        f"The rig stood still: half of its instants are within {rounded(off)} {sign} of one place, where its cameras are "
-        f"{rounded(apart)} {sign} apart. What moved is not rebuilt, and the rest is seen from the places of its cameras alone."
+        f"The rig stood still: half of its instants are at one place, to {rounded(100 * off / apart)} percent of the "
+        f"{rounded(apart)} {sign} between its cameras. What moved is not rebuilt, and the rest is seen from the places of its cameras alone."
     )
     do = "Move the rig between instants, by more than its cameras are apart; for a board that was moved, give `poses` boards."
     return (Advice(told, do),)
