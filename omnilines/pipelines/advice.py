@@ -90,7 +90,8 @@ def _rig_stood_still(off: float, apart: float, sign: str) -> tuple[Advice, ...]:
     """A rig of which all instants show the same from the same places."""
     told = (
         f"The rig stood still: half of its instants are at one place, to {rounded(100 * off / apart)} percent of the "
-        f"{rounded(apart)} {sign} between its cameras. What moved is not rebuilt, and the rest is seen from the places of its cameras alone."
+        f"{rounded(apart)} {sign} between its cameras. What moved is not rebuilt, and the rest is seen from the places of its "
+        "cameras alone."
     )
     do = "Move the rig between instants, by more than its cameras are apart; for a board that was moved, give `poses` boards."
     return (Advice(told, do),)
