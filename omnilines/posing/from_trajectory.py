@@ -20,6 +20,9 @@ from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.tools import Keys, ToolPoses
 from omnilines.records import ImagePoses
 
+LEAST_MM, LEAST_DEG = 0.01, 1e-4
+"""Smaller errors are as good as none."""
+
 
 def poses_from_trajectory(
     path: Path,
@@ -154,6 +157,10 @@ def _interpolated(
     errors = left_out_errors(world_from_body, rows_s, times_s, before, 2 * most_s)
     if errors is None:
         return (f"{said}; its rows are too far apart to tell how well.",)
-    turned_rad, moved_m = errors
-    off = f"{1e3 * moved_m:.2g} mm and {math.degrees(turned_rad):.2g} degrees"
+    turned_deg, moved_mm = math.degrees(errors[0]), 1e3 * errors[1]
+    off = f"{_told(moved_mm, LEAST_MM)} mm and {_told(turned_deg, LEAST_DEG)} degrees"
     return (f"{said}: as rows that are left out tell, {off} off (median).",)
+
+
+def _told(value: float, least: float) -> str:
+    return f"less than {least:g}" if value < least else f"{value:.2g}"
