@@ -34,6 +34,7 @@ LONG_TO_FIT = (
     "anipose",
     "caliscope",
     "mc-calib",
+    "camodocal",
     "metashape",
     "lensfun",
     "nerfstudio",

@@ -290,3 +290,77 @@ def test_mrcal_without_thin_prism_terms(tmp_path: Path) -> None:
 
 
 # COLMAP
+
+
+# CamOdoCal
+
+MEI = """%YAML:1.0
+---
+model_type: MEI
+camera_name: camera
+image_width: 752
+image_height: 480
+mirror_parameters:
+   xi: 0.80065662
+distortion_parameters:
+   k1: -0.33518750
+   k2: 0.13211436
+   p1: 0.00055967
+   p2: 0.00057686
+projection_parameters:
+   gamma1: 833.006
+   gamma2: 830.345
+   u0: 373.850
+   v0: 253.749
+"""
+KANNALA_BRANDT = """%YAML:1.0
+---
+model_type: KANNALA_BRANDT
+camera_name: camera
+image_width: 640
+image_height: 512
+projection_parameters:
+   k2: -0.0612
+   k3: -0.0037
+   k4: 0.0273
+   k5: -0.0302
+   mu: 413.3
+   mv: 413.7
+   u0: 305.9
+   v0: 259.4
+mask: fisheye.png
+"""
+
+
+def test_camodocal_cameras_project_as_opencv_does(tmp_path: Path) -> None:
+    near, zero = RAYS[np.hypot(*RAYS[:, :2].T) < 0.7], np.zeros(3)
+    camera = read(put(tmp_path / "mei.yaml", MEI)).calibration["cam0"]
+    matrix = np.array([[833.006, 0, 373.850], [0, 830.345, 253.749], [0, 0, 1]])
+    coefficients = np.array([[-0.33518750, 0.13211436, 0.00055967, 0.00057686]])
+    expected = cv2.omnidir.projectPoints(near[:, None], zero, zero, matrix, 0.80065662, coefficients)[0].reshape(-1, 2)
+    np.testing.assert_allclose(camera.project(near)[0], expected, atol=1e-9)
+    whole = put(tmp_path / "kb.yaml", KANNALA_BRANDT)
+    content = read(whole)
+    matrix = np.array([[413.3, 0, 305.9], [0, 413.7, 259.4], [0, 0, 1]])
+    expected = cv2.fisheye.projectPoints(near[:, None], zero, zero, matrix, np.array([-0.0612, -0.0037, 0.0273, -0.0302]))[0]
+    np.testing.assert_allclose(content.calibration["cam0"].project(near)[0], expected[:, 0], atol=1e-9)
+    assert content.notes == ("Not kept of the file: mask.",)
+    # Some write k2 to k5 as parameters of the distortion.
+    moved = KANNALA_BRANDT.replace("projection_parameters:", "distortion_parameters:").replace(
+        "   mu", "projection_parameters:\n   mu"
+    )
+    assert (
+        read(put(tmp_path / "moved.yaml", moved)).calibration["cam0"].named_parameters()
+        == content.calibration["cam0"].named_parameters()
+    )
+
+
+def test_camodocal_says_what_it_does_not_have(tmp_path: Path) -> None:
+    for old, new, told in (
+        ("MEI", "scaramuzza", "found scaramuzza"),
+        ("   xi: 0.80065662", "   xj: 1.0", "The key xi is missing"),
+        ("   u0: 373.850", "   u0: 373.850\n   k1: 0.1", "found k1 in two sections"),
+        ("image_width: 752\n", "", "image_width and image_height"),
+    ):
+        with pytest.raises(InputError, match=told):
+            read(put(tmp_path / "bad.yaml", MEI.replace(old, new)))

@@ -199,6 +199,12 @@ def test_cameras_on_a_body_have_its_poses_moved(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         alone.poses.cam_from_world[0].translation, (mounted[1] @ plain.poses.cam_from_world[0]).translation, atol=1e-9
     )
+    storage = cv2.FileStorage(".yml", cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
+    storage.write("body_T_cam0", np.array(four(mounted[1].inverse())))
+    storage.write("td", 0.0)
+    vins = put(tmp_path, "settings.yaml", storage.releaseAndGetString())
+    of_vins = placed(path, [f"{at}.png"], body=vins)
+    np.testing.assert_allclose(of_vins.poses.cam_from_world.translation, alone.poses.cam_from_world.translation, atol=1e-9)
     row = " ".join(map(repr, np.array(four(mounted[1].inverse()))[:3].ravel().tolist()))
     listed = put(tmp_path, "calib_cam_to_pose.txt", f"image_02: {row}\n")
     again = placed(path, [f"{at}.png"], body=listed)

@@ -50,6 +50,7 @@ FORMATS: tuple[FormatEntry, ...] = (
     FormatEntry("ocamcalib", "camera_models.formats.ocamcalib:OCamCalib", ("*calib_results*.txt", "*ocam*.txt", "*ocam*.yaml")),
     FormatEntry("kalibr", "camera_models.formats.kalibr:Kalibr", ("*camchain*.yaml", "*kalibr*.yaml")),
     FormatEntry("ros", "camera_models.formats.ros:RosCameraInfo", ("*camera_info*.yaml", "ost.yaml")),
+    FormatEntry("camodocal", "camera_models.formats.camodocal:CamOdoCal", ("*camodocal*.yaml",)),
     FormatEntry("mc-calib", "camera_models.formats.mc_calib:MCCalib", ("*calibrated_cameras*.yml",)),
     FormatEntry("metashape", "camera_models.formats.metashape:Metashape", ("*metashape*.xml", "*agisoft*.xml")),
     FormatEntry("lensfun", "camera_models.formats.lensfun:Lensfun", ("*lensfun*.xml",)),

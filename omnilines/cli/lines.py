@@ -90,8 +90,8 @@ Body = Annotated[
     Path | None,
     typer.Option(
         "--body",
-        help="Where cameras sit on the body of a trajectory: Kalibr's camchain (T_cam_imu), EuRoC's sensor.yaml, KITTI-360's "
-        "calib_cam_to_pose.txt.",
+        help="Where cameras sit on the body of a trajectory: Kalibr's camchain (T_cam_imu), EuRoC's sensor.yaml, VINS-Fusion's "
+        "settings (body_T_cam0), KITTI-360's calib_cam_to_pose.txt.",
     ),
 ]
 ScaleFrom = Annotated[

@@ -1,12 +1,16 @@
-"""Where cameras sit on the body whose trajectory is known: Kalibr's T_cam_imu, EuRoC's T_BS, KITTI-360's calib_cam_to_pose."""
+"""Where cameras sit on the body whose trajectory is known: Kalibr's T_cam_imu, EuRoC's T_BS, VINS's body_T_cam0, KITTI-360's
+calib_cam_to_pose."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from camera_models import Calibration, InputError
 from camera_models.formats.disk import read_text
+from camera_models.formats.opencv_storage import read_storage
 from camera_models.formats.rig_poses import pose_of_matrix
 from camera_models.formats.values import mapping, number, numbers, required
 from camera_models.formats.yaml_text import read_yaml
@@ -15,8 +19,13 @@ from camera_models.wording import listed
 from omnilines.posing.tools.contract import rigid
 from omnilines.posing.tools.rows import numbers_in, rows
 
-FILES = "Kalibr's camchain (T_cam_imu), EuRoC's sensor.yaml (T_BS) or KITTI-360's calib_cam_to_pose.txt"
-KALIBR, SHIFT, EUROC = "T_cam_imu", "timeshift_cam_imu", "T_BS"
+FILES = (
+    "Kalibr's camchain (T_cam_imu), EuRoC's sensor.yaml (T_BS), VINS-Fusion's settings (body_T_cam0) or KITTI-360's "
+    "calib_cam_to_pose.txt"
+)
+KALIBR, SHIFT, EUROC, VINS, VINS_SHIFT = "T_cam_imu", "timeshift_cam_imu", "T_BS", "body_T_", "td"
+OF_OPENCV = "!!opencv-matrix"
+"""In what cv2.FileStorage writes, which is no YAML."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,8 @@ def _read(path: Path) -> dict[str, Mount]:
     if path.suffix.lower() not in (".yaml", ".yml"):
         return _kitti(path)
     try:
+        if OF_OPENCV in read_text(path):
+            return _vins(read_storage(path))
         data = mapping(read_yaml(path), "the file")
         if EUROC in data:
             return {"camera": Mount(_euroc(mapping(data[EUROC], EUROC)).inverse())}
@@ -65,6 +76,18 @@ def _read(path: Path) -> dict[str, Mount]:
     except InputError as error:
         raise error if str(path) in str(error) else InputError(f"{path}: {error}") from None
     raise InputError(f"{path}: {FILES} was expected, found none of these; give the file that says where the cameras sit.")
+
+
+def _vins(data: Mapping[str, Any]) -> dict[str, Mount]:
+    """p_body = body_T_cam0 p_cam0, and t_imu = t_cam + td."""
+    given = {name.removeprefix(VINS): value for name, value in data.items() if name.startswith(VINS)}
+    if not given:
+        raise InputError(f"{FILES} was expected, found none of these; give the file that says where the cameras sit.")
+    shift = number(data.get(VINS_SHIFT, 0.0), VINS_SHIFT)
+    return {
+        name: Mount(pose_of_matrix(numbers(np.asarray(value).tolist(), (4, 4), f"{VINS}{name}").tolist(), name).inverse(), shift)
+        for name, value in given.items()
+    }
 
 
 def _kalibr(camera: Mapping[str, Any], name: str) -> Mount:

@@ -56,6 +56,7 @@ FILES: dict[str, tuple[str, str, tuple[camera_models.CameraModel, ...]]] = {
     "anipose": ("calibration.toml", "anipose", (LENS, PINHOLE)),
     "caliscope": ("camera_array.toml", "caliscope", (LENS, PINHOLE)),
     "mc-calib": ("calibrated_cameras_data.yml", "mc-calib", (LENS, PINHOLE)),
+    "camodocal": ("camodocal.yaml", "camodocal", (LENS,)),
     "aria": ("aria.json", "aria", (LENS, PLAIN)),
     "ftheta": ("ftheta.json", "ftheta", (ODD,)),
     "openmvg": ("sfm_data.json", "openmvg", (SQUARE,)),
