@@ -126,7 +126,9 @@ def test_a_fit_worse_than_the_calibration_says_what_is_lost(tmp_path: Path, caps
     assert "RMS error of cam0, beside 0.2 % of the image" in text and "DOES NOT HOLD" in text
     assert "cam0 is 10.4 px RMS off in this file, 17 times the 0.62 px RMS of its calibration" in err
     assert "opencv-fisheye has no place for p1 = 0.0211, p2 = -0.00346" in err
-    assert "calibrate with --model opencv-fisheye, or write it exactly with one of --to kalibr, camodocal, opencv, omnilines" in err
+    assert (
+        "calibrate with --model opencv-fisheye, or write it exactly with one of --to kalibr, camodocal, opencv, omnilines" in err
+    )
     status, _, err = run(capsys, source, tmp_path / "double.yaml", "--model", "double-sphere")
     assert status == 1 and "leave --model out, and it is held exactly" in err
     # What is not known to be worse than the calibration gets no such note.

@@ -52,6 +52,16 @@ def euroc(times_ns: np.ndarray) -> str:
     return head + "\r\n".join(rows) + "\r\n"
 
 
+def vins(times_ns: np.ndarray) -> str:
+    """Nanoseconds, the scalar first, the velocity behind, a comma at the end."""
+    centres, turns = moving((times_ns - START_NS) * 1e-9)
+    quaternions = turns.as_quat().tolist()
+    return "".join(
+        ",".join([str(t), *map(repr, [*c, q[3], *q[:3], 0.1, 0.2, 0.3])]) + ",\n"
+        for t, c, q in zip(times_ns.tolist(), centres.tolist(), quaternions, strict=True)
+    )
+
+
 def rows_ns(count: int = 41) -> np.ndarray:
     return START_NS + STEP_NS * np.arange(count, dtype=np.int64)
 
@@ -74,10 +84,11 @@ def require_same(found: Pose, centres: np.ndarray, turns: Rotation, atol: float)
     np.testing.assert_allclose(found.rotation.mT.numpy(), turns.as_matrix(), atol=atol)
 
 
-@pytest.mark.parametrize("kind", ["tum", "tum in nanoseconds", "euroc"])
+@pytest.mark.parametrize("kind", ["tum", "tum in nanoseconds", "euroc", "vins"])
 def test_photos_named_by_their_time_have_the_pose_of_that_time(tmp_path: Path, kind: str) -> None:
-    text = euroc(rows_ns()) if kind == "euroc" else tum(rows_ns(), kind == "tum")
-    path = put(tmp_path, "data.csv" if kind == "euroc" else "trajectory.txt", text)
+    made = {"euroc": euroc, "vins": vins}
+    text = made[kind](rows_ns()) if kind in made else tum(rows_ns(), kind == "tum")
+    path = put(tmp_path, "data.csv" if kind in made else "trajectory.txt", text)
     at = rows_ns()[[3, 17, 40]]
     nanoseconds = [f"cam0/{t}.png" for t in at.tolist()]
     seconds = [f"{t // 10**9}.{t % 10**9:09d}.jpg" for t in at.tolist()]

@@ -1,7 +1,9 @@
-"""Trajectories by time: TUM's `timestamp tx ty tz qx qy qz qw` (evo, ORB-SLAM, many others), EuRoC's data.csv (Basalt, Monado).
+"""Trajectories by time: TUM's `timestamp tx ty tz qx qy qz qw` (evo, ORB-SLAM, many others), EuRoC's data.csv (Basalt, Monado),
+VINS-Mono's and VINS-Fusion's vio.csv.
 
-Rows hold world_from_body, the body being the camera, or what the camera sits on. Without a header the order is TUM's; a header
-behind # names the columns, as EuRoC's does, and the unit of time. Lengths are metres. https://cvg.cit.tum.de/data/datasets/
+Rows hold world_from_body, the body being the camera, or what the camera sits on. Without a header the order of eight columns is
+TUM's, that of eleven VINS's, which has the velocity behind; a header behind # names the columns, as EuRoC's does, and the unit of
+time. Lengths are metres. https://cvg.cit.tum.de/data/datasets/
 rgbd-dataset/file_formats; M. Burri et al., The EuRoC micro aerial vehicle datasets, IJRR 2016.
 """
 
@@ -23,6 +25,7 @@ from omnilines.records import LengthUnit
 TUM = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 EUROC = ("p_RS_R_x", "p_RS_R_y", "p_RS_R_z", "q_RS_x", "q_RS_y", "q_RS_z", "q_RS_w")
 SHORT = ("px", "py", "pz", "qx", "qy", "qz", "qw")
+VINS = ("tx", "ty", "tz", "qw", "qx", "qy", "qz", "vx", "vy", "vz")
 SUFFIXES = (".txt", ".csv", ".tum", ".traj", ".log")
 UNITS_S = {"[s]": Decimal(1), "[ms]": Decimal("1e-3"), "[us]": Decimal("1e-6"), "[ns]": Decimal("1e-9")}
 ROUNDED = 0.01
@@ -37,17 +40,18 @@ class TimedPoses(PoseFile):
     TITLE = "a trajectory of TUM's or EuRoC's columns"
 
     def recognises(self, path: Path, head: str) -> bool:
-        """Rows of numbers alone: eight, or as many as a header names that has those of a pose."""
+        """Rows of numbers alone: eight or eleven, or as many as a header names that has those of a pose."""
         if path.suffix.lower() not in SUFFIXES:
             return False
         first = [cells for _, cells in islice(rows(head), 1)]
-        columns = _columns(head)
-        return bool(first) and all(map(is_number, first[0])) and (len(first[0]) == 1 + len(TUM) or columns is not None)
+        if not first or not all(map(is_number, first[0])):
+            return False
+        return _columns(head) is not None or len(first[0]) in (1 + len(TUM), 1 + len(VINS))
 
     def _read(self, path: Path) -> ToolPoses:
         text = read_text(path)
-        order, unit = _columns(text) or (tuple(range(1, 1 + len(TUM))), None)
         given = list(rows(text))
+        order, unit = _columns(text) or (_order(len(given[0][1]) if given else 0), None)
         least = 1 + max(order)
         for where, cells in given:
             if len(cells) < least:
@@ -88,6 +92,12 @@ def _columns(text: str) -> tuple[tuple[int, ...], str | None] | None:
                 unit = next((cell for cell in cells[1:2] if cell in UNITS_S), None)
                 return tuple(named.index(name) for name in columns), unit
     return None
+
+
+def _order(count: int) -> tuple[int, ...]:
+    """Where rows of so many columns without a header have the pose, in the order of TUM's."""
+    named = VINS if count == 1 + len(VINS) else TUM
+    return tuple(1 + named.index(name) for name in TUM)
 
 
 def _unit_of(stamps: Sequence[Decimal]) -> str:
