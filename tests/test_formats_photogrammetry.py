@@ -9,6 +9,7 @@ import pytest
 
 from camera_models import Calibration, Equirectangular, InputError, OpenCVFisheye, Pinhole
 from camera_models.formats import format_named, read, write
+from camera_models.formats.contract import HAS_POSES
 from camera_models.formats.transfer import transfer
 
 RAYS = np.random.default_rng(0).normal(size=(200, 3)) * [0.4, 0.4, 0.0] + [0, 0, 1.0]
@@ -77,7 +78,7 @@ def test_opensfm_reconstructions_hold_cameras_too(tmp_path: Path) -> None:
     path.write_text(json.dumps([{"cameras": {"pano": camera}, "shots": {}, "points": {}}]))
     content = read(path)
     assert isinstance(content.calibration["pano"], Equirectangular)
-    assert content.notes == ("Not kept of the file: shots, points.",)
+    assert content.notes == ("Not kept of the file: points.", HAS_POSES)
     with pytest.raises(InputError, match=r"must be one with a counterpart here \(simple_radial, .*\), found dual;"):
         read(opensfm(tmp_path, projection_type="dual", focal=0.5))
 

@@ -280,6 +280,10 @@ def _off(pose: Pose) -> float:
     return max(float((pose.rotation - torch.eye(3)).abs().max()), float(pose.translation.abs().max()))
 
 
+HAS_POSES = "Poses of photos are not kept: --poses of reconstruct takes the same file."
+"""Of files that have them beside cameras, and that are read for them too."""
+
+
 def left_out(beside: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
     """Notes on the keys of each camera that have no place here, one for all cameras that have the same."""
     cameras: dict[str, list[str]] = {}

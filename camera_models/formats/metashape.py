@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration, CameraEstimate
-from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
+from camera_models.formats.contract import DEFAULT_NAME, HAS_POSES, CalibrationFormat, Content, Documents
 from camera_models.formats.disk import read_text
 from camera_models.formats.forms import Form
 from camera_models.formats.metashape_lens import nearest_metashape
@@ -88,8 +88,7 @@ class Metashape(CalibrationFormat):
         if not cameras:
             raise InputError("Sensors with a calibration were expected, found none; align the photos in Metashape first.")
         told = listed(f"{name} is {label}" for name, label in labels.items())
-        poses = "Poses of photos are not kept: --poses of reconstruct takes the same file."
-        return _content(cameras, (f"Sensors in the file: {told}.", poses) if len(cameras) > 1 else (poses,))
+        return _content(cameras, (f"Sensors in the file: {told}.", HAS_POSES) if len(cameras) > 1 else (HAS_POSES,))
 
     def _camera(self, keys: Mapping[str, str]) -> CameraModel | Nearest:
         form = self.form_named(keys["projection"], "the file")

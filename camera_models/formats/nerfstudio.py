@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
-from camera_models.formats.contract import DEFAULT_NAME, CalibrationFormat, Content, Documents
+from camera_models.formats.contract import DEFAULT_NAME, HAS_POSES, CalibrationFormat, Content, Documents
 from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.values import image_size as size_of
@@ -63,8 +63,9 @@ class Nerfstudio(CalibrationFormat):
         if len(lenses) > 1:
             raise InputError(f"Frames of one camera were expected, found {len(lenses)} cameras; give the frames of one.")
         camera = self._camera(lenses[0] if lenses else _lens_of(data), image_size)
-        beside = [key for key in data if key not in _LENS and (key != FRAMES or frames)]
-        return Content(Calibration({DEFAULT_NAME: camera}), (f"Not kept: {listed(beside)}.",) if beside else ())
+        beside = [key for key in data if key not in _LENS and key != FRAMES]
+        notes = (f"Not kept: {listed(beside)}.",) if beside else ()
+        return Content(Calibration({DEFAULT_NAME: camera}), (*notes, HAS_POSES) if frames else notes)
 
     def _camera(self, lens: Mapping[str, Any], image_size: tuple[int, int] | None) -> CameraModel:
         if "w" not in lens and "h" not in lens and image_size is not None:

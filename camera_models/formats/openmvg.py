@@ -20,7 +20,7 @@ from camera_models._model import CameraModel
 from camera_models.equirectangular import Equirectangular
 from camera_models.errors import InputError
 from camera_models.formats.calibration_data import Calibration
-from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
+from camera_models.formats.contract import HAS_POSES, CalibrationFormat, Content, Documents, left_out
 from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.values import image_size as size_of
@@ -80,10 +80,11 @@ class OpenMVG(CalibrationFormat):
             beside[name] = [key for key in keys if key not in (_BASE, *_OWN, *_TERMS.values())]
         if not cameras:
             raise InputError("Intrinsics were expected in the file, found none; give one that OpenMVG has calibrated.")
-        beside["the file"] = [key for key in ("views", "extrinsics", "structure", "control_points") if data.get(key)]
+        beside["the file"] = [key for key in ("views", "structure", "control_points") if data.get(key)]
         half = "its middle is half a pixel right of and below that of equirectangular, by which directions differ from OpenMVG's"
         notes = (f"OpenMVG's spherical camera ({listed(panoramas)}): {half}.",) if panoramas else ()
-        return Content(Calibration(cameras), (*notes, *left_out(beside)))
+        poses = (HAS_POSES,) if data.get("extrinsics") else ()
+        return Content(Calibration(cameras), (*notes, *left_out(beside), *poses))
 
     def _camera(self, form: Form, keys: dict[str, Any], name: str) -> CameraModel:
         base = _base(keys, name)

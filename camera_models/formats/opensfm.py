@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 from camera_models._model import CameraModel
 from camera_models.formats.calibration_data import Calibration
-from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
+from camera_models.formats.contract import HAS_POSES, CalibrationFormat, Content, Documents, left_out
 from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.values import image_size as size_of
@@ -104,8 +104,9 @@ def _cameras_of(data: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
     if not isinstance(data, list):
         return mapping(data, "the file"), ()
     first = mapping(data[0] if data else None, "the first reconstruction")
-    notes = left_out({"the file": [key for key in first if key != "cameras"]})
-    return mapping(required(first, "cameras", "the first reconstruction"), "cameras"), notes
+    notes = left_out({"the file": [key for key in first if key not in ("cameras", "shots")]})
+    poses = (HAS_POSES,) if first.get("shots") else ()
+    return mapping(required(first, "cameras", "the first reconstruction"), "cameras"), (*notes, *poses)
 
 
 def _pixels(fraction: float, longer: int, middle: float) -> float:

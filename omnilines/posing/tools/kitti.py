@@ -23,7 +23,7 @@ PLAIN, NUMBERED = 12, (13, 17)
 class KittiPoses(PoseFile):
     """A table of matrices."""
 
-    TITLE = "KITTI's or KITTI-360's poses"
+    TITLE = "one by frames (KITTI)"
 
     def recognises(self, path: Path, head: str) -> bool:
         """Rows of 12, 13 or 17 numbers."""

@@ -37,7 +37,7 @@ SUBDIVIDED = ((Decimal("1e17"), "[ns]"), (Decimal("1e14"), "[us]"), (Decimal("1e
 class TimedPoses(PoseFile):
     """A table of times and poses."""
 
-    TITLE = "a trajectory of TUM's or EuRoC's columns"
+    TITLE = "a trajectory by time (TUM, EuRoC, VINS)"
 
     def recognises(self, path: Path, head: str) -> bool:
         """Rows of numbers alone: eight or eleven, or as many as a header names that has those of a pose."""
