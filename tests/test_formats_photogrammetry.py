@@ -75,7 +75,7 @@ def test_opensfm_cameras_of_one_focal_length_are_centred(tmp_path: Path) -> None
 def test_opensfm_reconstructions_hold_cameras_too(tmp_path: Path) -> None:
     path = tmp_path / "reconstruction.json"
     camera = {"projection_type": "spherical", "width": 2048, "height": 1024}
-    path.write_text(json.dumps([{"cameras": {"pano": camera}, "shots": {}, "points": {}}]))
+    path.write_text(json.dumps([{"cameras": {"pano": camera}, "shots": {"a.jpg": {"camera": "pano"}}, "points": {}}]))
     content = read(path)
     assert isinstance(content.calibration["pano"], Equirectangular)
     assert content.notes == ("Not kept of the file: points.", HAS_POSES)
