@@ -283,7 +283,7 @@ class _Timed(Footage):
     """Frames of the same grey at some times, as a video whose frame rate varies."""
 
     times_s: tuple[float, ...] = ()
-    title, name, stamped = "", "", False
+    title, name, stamped, begins_ns = "", "", False, None
 
     def frames(self, wanted: Collection[int] | None = None) -> Iterator[Frame]:
         for k, time_s in enumerate(self.times_s):
