@@ -35,6 +35,7 @@ def chart_errors(found: LineChart, true: PlueckerLines) -> torch.Tensor:
 @pytest.mark.parametrize("cost", ["whitened", "sector"])
 @pytest.mark.parametrize("name", ["wide", "short", "room"])
 @pytest.mark.parametrize("seeds", [10, pytest.param(200, marks=pytest.mark.full)])
+@pytest.mark.slow
 def test_covariances_cover_the_truth(name, cost, seeds):
     """95 percent intervals, poses fixed and two poses held: pooled 93 to 97 percent over 200 seeds, and no line or pose
     outside 90 to 99 (its coordinates together). The covariance is that of the cost itself."""

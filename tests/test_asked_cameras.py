@@ -52,6 +52,7 @@ def joined(poses: list[Pose]) -> Pose:
 
 
 @pytest.mark.parametrize(("scale", "contradicted"), [(1.0, False), (1.02, True)])
+@pytest.mark.slow
 def test_of_many_photos_some_are_asked_that_share_lines(
     scale: float, contradicted: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -101,6 +102,7 @@ def test_what_a_calibration_states_of_itself_is_no_contradiction() -> None:
     assert within.least_px == 0.0 and within.sigma_px > 4.0 * alone.sigma_px
 
 
+@pytest.mark.slow
 def test_nothing_is_asked_of_what_has_no_parameters_or_was_refined() -> None:
     segments, poses, _ = world()
     scene = ol.adjust(segments, poses, CAMERA, OF_TABLES)
@@ -134,6 +136,7 @@ def test_an_adjustment_of_segments_says_that_they_contradict_its_calibration() -
     assert not ol.adjust(few, poses, CAMERA).asked
 
 
+@pytest.mark.slow
 def test_a_scene_says_that_lines_contradict_its_calibration() -> None:
     segments, poses, _ = world()
     scene = ol.adjust(segments, poses, CAMERA, OF_TABLES)

@@ -86,6 +86,7 @@ def test_a_view_is_the_stereographic_one(model: CameraModel) -> None:
 
 
 @pytest.mark.parametrize("spec", ["checkerboard:8x6:30mm", "charuco:9x7:30mm:22mm:DICT_5X5_100", "aprilgrid:4x4:35mm:0.3:36h11"])
+@pytest.mark.slow
 def test_boards_past_ninety_degrees_are_found_in_views(spec: str) -> None:
     board = pattern(spec)
     image, truth, pose = rim_photo(board, LENS_220, 107.0, 1)

@@ -58,6 +58,7 @@ def test_dictionaries_are_opencvs() -> None:
     assert len(TAGS_OF_DICTIONARY) > 20
 
 
+@pytest.mark.slow
 def test_opencvs_detector_reads_our_photo_with_our_ids() -> None:
     rotation, _ = cv2.Rodrigues(np.array([0.2, -0.15, 0.1]))
     pose = Pose.of(rotation, np.array([0.0, 0.0, 0.45]) - rotation @ np.array([0.135, 0.105, 0.0]))
@@ -150,6 +151,7 @@ def test_a_board_of_another_size_is_refused(size: str) -> None:
     assert len(found) == 0 and reason is not None
 
 
+@pytest.mark.slow
 def test_sigma_states_the_error() -> None:
     rotation, _ = cv2.Rodrigues(np.array([0.2, -0.15, 0.1]))
     pose = Pose.of(rotation, np.array([0.0, 0.0, 0.45]) - rotation @ np.array([0.135, 0.105, 0.0]))

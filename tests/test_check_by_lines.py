@@ -151,6 +151,7 @@ def test_of_a_rig_the_camera_is_checked_whose_folder_the_photos_lie_in(monkeypat
         ol.check({"1.png": dark}, rig)
 
 
+@pytest.mark.slow
 def test_a_drift_is_not_said_to_be_less_than_it_is_at_least() -> None:
     found = checked(FISHEYE, true_chains(FISHEYE, 1, photos=4))
     some = replace(found, drift_px=0.0, least_drift_px=0.4862, sigma_px=1.734)

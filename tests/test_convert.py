@@ -116,6 +116,7 @@ def test_names_of_formats_and_files_that_differ_in_their_ending(tmp_path: Path, 
     assert "ROS camera_info files end in .yaml or .yml, found 'ros.json'; give such a name, or the format with --to" in sentence
 
 
+@pytest.mark.slow
 def test_a_fit_worse_than_the_calibration_says_what_is_lost(tmp_path: Path, capsys) -> None:
     """A real camera, calibrated to 0.62 px: without its tangential coefficients it is 10 px off, and no converted file holds."""
     numbers = [398.76, 400.34, 629.9, 431.38, 0.0, 1.0049, -0.032815, 0.011644, 0.021093, -0.0034617]
@@ -135,6 +136,7 @@ def test_a_fit_worse_than_the_calibration_says_what_is_lost(tmp_path: Path, caps
     assert "RMS off in this file" not in run(capsys, save(tmp_path / "b.yaml", OCAM), tmp_path / "cameras.txt", "--fov", 90)[2]
 
 
+@pytest.mark.slow
 def test_the_field_of_view_decides_the_error(tmp_path: Path, capsys) -> None:
     """A narrower field of view is fitted more closely; what no model of the format holds is refused with the reason."""
     source = save(tmp_path / "calibration.yaml", OCAM)
@@ -316,6 +318,7 @@ def test_the_size_of_the_image_may_be_given(tmp_path: Path, capsys) -> None:
     assert yaml.safe_load((tmp_path / "out.yaml").read_text())["cameras"]["cam0"]["image_size"] == [640, 480]
 
 
+@pytest.mark.slow
 def test_the_python_function(tmp_path: Path) -> None:
     source = save(tmp_path / "calibration.yaml", OCAM)
     result = command(source, tmp_path / "camchain.yaml", fov_deg=120)

@@ -59,6 +59,7 @@ def test_lines_and_poses_are_covered(lens: str, case: tuple[str, str, bool], see
 @pytest.mark.parametrize(
     ("case", "seeds"), [*((case, FEW) for case in CHOSEN[1:3]), *(pytest.param(case, ALL, marks=FULL) for case in CASES)]
 )
+@pytest.mark.slow
 def test_rigs_are_covered(case: tuple[str, str, bool], seeds: int) -> None:
     """Extrinsics refined together with the poses of the frames."""
     cost, noise, prior = case

@@ -278,6 +278,7 @@ def test_idle_and_contradicting_options_are_refused(room: Path, tmp_path: Path, 
         assert status == 2 and said in err and not out and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_options_at_the_ends_of_their_ranges_end(room: Path) -> None:
     """A separation of 0 searched for ever; the order of strays, of which one is chosen, changes nothing."""
     arcs = ol.extract(room, ol.load(room / "calibration.yaml"))

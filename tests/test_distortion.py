@@ -107,6 +107,7 @@ def test_monotone_functions_are_inverted_to_rounding_and_clamped() -> None:
     torch.testing.assert_close(found, expected, rtol=0, atol=2e-8)
 
 
+@pytest.mark.slow
 def test_every_lens_that_is_monotone_near_its_centre_is_seen_there() -> None:
     """Mild rational lenses at random, with and without poles, against a dense scan of r q(r): pixels inside the reach of the scan
     are seen and go there and back, those beyond it are not; in NumPy and in torch."""

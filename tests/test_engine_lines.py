@@ -85,6 +85,7 @@ def assert_same(compiled: Adjusted, general: Adjusted) -> None:
 
 @pytest.mark.parametrize("cost", COMPILED_COSTS)
 @pytest.mark.parametrize("loss", [None, Loss("huber", 0.02), Loss("cauchy", 0.02)])
+@pytest.mark.slow
 def test_lines_and_poses_are_those_of_torch(monkeypatch: pytest.MonkeyPatch, cost: str, loss: Loss | None) -> None:
     if loss is not None and cost != "sector":
         loss = Loss(loss.name, 1.0)
@@ -216,6 +217,7 @@ def test_what_observations_do_not_determine_is_named_by_both(monkeypatch: pytest
 
 
 @pytest.mark.parametrize("cost", ["sector", "whitened"])
+@pytest.mark.slow
 def test_results_are_equal_to_the_last_bit_on_any_number_of_threads(cost: str) -> None:
     """Lines are summed in pieces that do not depend on threads, and of two cameras equally far from a line one is its chart's."""
     scene = row(cameras=40, lines=900, seed=6)

@@ -131,6 +131,7 @@ def test_repeated_lines() -> None:
     assert scored(far).repeated_share == pytest.approx(3 / 7)
 
 
+@pytest.mark.slow
 def test_against_samples() -> None:
     """Random lines near random edges, in three blocks, by points 0.5 mm apart and the distance from a point to a segment."""
     rng = np.random.default_rng(0)

@@ -168,6 +168,7 @@ def test_synthetic_lines_agree_with_the_board_as_predicted(seeds: int) -> None:
     assert 0.5 < np.sqrt(np.mean(np.square(by_photos))) < 1.5
 
 
+@pytest.mark.slow
 def test_a_deformed_board_is_told_from_noise() -> None:
     """A board twisted by a millimetre at its corners breaks the limit that noise alone would keep; its lines stay straight."""
     corners = synthetic_corners(0.05, 1)

@@ -91,6 +91,7 @@ def test_random_directions_give_no_family(count: int, sigma_deg: float) -> None:
     assert scenes == 40 and found == 0
 
 
+@pytest.mark.slow
 def test_the_number_of_false_families_is_bounded_as_stated() -> None:
     """With a bound of one false family in each scene of random directions there are some, and not more than that."""
     rng = np.random.default_rng(0)

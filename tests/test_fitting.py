@@ -148,6 +148,7 @@ def test_what_cannot_be_converted(source, target, fov, message):
 
 
 @pytest.mark.parametrize(("source", "target"), [(DoubleSphere.examples()[1], "unified"), (FISHEYE, "extended-unified")])
+@pytest.mark.slow
 def test_all_is_converted_that_the_target_holds(source, target):
     """Beyond what it names every fit leaves out pixels; within, each pixel is imaged, and asking for it gives the same fit."""
     found = convert(source, target)

@@ -54,6 +54,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     ("name", "number"),
     [pytest.param("adjust", errno.ENOSPC, marks=pytest.mark.full), ("rectify", errno.EDQUOT), ("pattern", errno.ENOSPC)],
 )
+@pytest.mark.slow
 def test_whatever_file_finds_no_room_the_old_results_stay(
     name: str, number: int, home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -74,6 +74,7 @@ def gained(guided: GuidedCorners, before: Detection, view: View) -> np.ndarray:
 
 @pytest.mark.parametrize("lens", LENSES)
 @pytest.mark.parametrize("spec", SPECS)
+@pytest.mark.slow
 def test_all_corners_of_boards_at_the_rim(spec: str, lens: str) -> None:
     """From six scattered corners, and from four at one end, in a pose some pixels off."""
     board, model = pattern(spec), LENSES[lens][0]
@@ -215,6 +216,7 @@ def test_only_corners_in_the_image_are_looked_for() -> None:
 
 
 @pytest.mark.parametrize("name", ["scaramuzza", "opencv-fisheye"])
+@pytest.mark.slow
 def test_a_first_camera_leads_beyond_what_it_was_calibrated_with(name: str) -> None:
     """Calibrated out to 60 degrees it is off by pixels at 85; from the inner half of a board it finds the next row, often all."""
     board = pattern(PLAIN)

@@ -49,12 +49,14 @@ SEEDS = (0, *(pytest.param(seed, marks=pytest.mark.full) for seed in (1, 2)))
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("kind", [{}, {"lines": 5, "photos": 3}, {"far": 300.0}, {"noise_px": 3.0}], ids=str)
+@pytest.mark.slow
 def test_tracks_that_belong_to_their_poses_are_taken(seed: int, kind: dict[str, float]) -> None:
     segments, poses = scene(**{"lines": 12, "photos": 5, "seed": seed, **kind})
     judged(segments, poses)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.slow
 def test_rough_poses_are_taken_and_spoken_of(seed: int) -> None:
     segments, poses = scene(12, 5, seed=seed)
     twists = torch.from_numpy(np.random.default_rng(seed).standard_normal((5, 6)) * 0.035)
@@ -96,6 +98,7 @@ def test_the_calibration_of_another_camera_is_named(scale: float) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.slow
 def test_tracks_that_were_shuffled_are_refused(seed: int) -> None:
     segments, poses = scene(20, 6, seed=seed)
     rng = np.random.default_rng(seed)

@@ -75,6 +75,7 @@ class Curves:
 
 @pytest.mark.parametrize("held", [(0,), (1, 3), (0, 2, 4)])
 @pytest.mark.parametrize("loss", ["none", "huber", "cauchy"])
+@pytest.mark.slow
 def test_same_optimum_as_scipy(held, loss):
     problem = Curves(held=held)
     ours = solve(problem, problem.start(), Loss(loss, 0.06), max_iterations=500)

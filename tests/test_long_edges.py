@@ -108,6 +108,7 @@ def lines_of(bow_share: float | None) -> tuple[KeptLines, np.ndarray]:
     return kept, off_m.min(-1)
 
 
+@pytest.mark.slow
 def test_lines_of_photos_hold_their_long_arcs() -> None:
     (straight, off_m), (bowed, bowed_off_m) = lines_of(0.0), lines_of(None)
     assert straight.matched.bow_share == 0.0 and 0.001 < bowed.matched.bow_share < 0.002

@@ -75,6 +75,7 @@ def test_lines_of_the_others_are_those_of_all_their_arcs() -> None:
 
 
 @pytest.mark.parametrize("name", FEW_CAMERAS)
+@pytest.mark.slow
 def test_a_pose_that_is_off_is_mended_and_a_right_one_is_left(name: str) -> None:
     truth, found = room(name).poses, matched(name, True)
     off = shaken(truth, 0.7, 30.0, 8)

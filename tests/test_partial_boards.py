@@ -59,6 +59,7 @@ def check_part(part: View) -> None:
     assert np.sqrt((distance**2).mean() / 2) < 0.1
 
 
+@pytest.mark.slow
 def test_three_by_three_corners_are_enough() -> None:
     view = views(SPEC, "fisheye-190", 4, 12.0)[0]
     window = view.truth.reshape(ROWS, COLUMNS, 2)[1:4, 2:5].reshape(-1, 2)
@@ -181,6 +182,7 @@ def test_lattices_count_columns_and_rows_of_a_sheared_board() -> None:
     np.testing.assert_allclose(design @ np.linalg.lstsq(design, grid.places, rcond=None)[0], grid.places, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_board_that_goes_on_is_refused() -> None:
     """A board of 8 x 6 corners where fewer were asked for."""
     view = views(SPEC, "fisheye-190", 4, 12.0)[0]

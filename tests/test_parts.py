@@ -175,6 +175,7 @@ class Pickled(Executor):
         return done
 
 
+@pytest.mark.slow
 def test_workers_find_what_one_process_does_and_leave_nothing_behind(tmp_path: Path) -> None:
     whole = adjust_lines(scene().arcs, scene().lines, scene().poses, cost="whitened")
     here = by_parts(scene())

@@ -146,6 +146,7 @@ def test_reflectance_is_the_mean_over_boxes(pattern: Pattern) -> None:
 
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("pattern", ALL)
+@pytest.mark.slow
 def test_finds_every_corner_of_a_clean_photo(pattern: Pattern, mirrored: bool) -> None:
     model, pose = camera(), pose_in_front(pattern)
     image = render_target(pattern, model, pose)
@@ -171,6 +172,7 @@ def test_every_depth_and_colour_gives_the_same_corners(pattern: Pattern) -> None
 
 
 @pytest.mark.parametrize("pattern", EACH_KIND)
+@pytest.mark.slow
 def test_says_why_nothing_was_found(pattern: Pattern) -> None:
     rng = np.random.default_rng(0)
     pure_noise = rng.integers(0, 256, (240, 320)).astype(np.uint8)
@@ -244,6 +246,7 @@ def test_units() -> None:
     } == {"checkerboard:8x6:32.5mm"}
 
 
+@pytest.mark.slow
 def test_black_first_square_settles_the_half_turn() -> None:
     """For nx + ny odd the numbering is that of the print, whichever way the board is turned."""
     pattern, model = calib_patterns.pattern("checkerboard:7x6:30mm"), camera()

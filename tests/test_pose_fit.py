@@ -40,6 +40,7 @@ def test_a_pose_from_pixels_is_the_least_squares_one_and_its_covariance_is_what_
 
 
 @pytest.mark.parametrize("kind", ["pixels", "bearings"])
+@pytest.mark.slow
 def test_a_pose_has_the_least_robust_cost_with_a_fifth_of_wrong_points(kind: str) -> None:
     rng = np.random.default_rng(1)
     points = torch.as_tensor(board(rng))

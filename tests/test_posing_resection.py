@@ -219,6 +219,7 @@ def test_the_compiled_equations_are_those_of_automatic_derivatives_and_the_gauge
     assert np.abs(sparse_matrix(engine.pattern, blocks) @ gauge).max() < 1e-7 * np.abs(blocks).max()
 
 
+@pytest.mark.slow
 def test_the_covariance_of_poses_is_what_noise_does():
     """Relative poses do not depend on the gauge: their scatter over noise against the covariance of one run."""
     seen, frames, truth = scene(2e-3, True)

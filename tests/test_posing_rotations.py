@@ -73,6 +73,7 @@ def test_photos_that_are_settled_are_mapped_once(tmp_path):
         assert Rotation.from_matrix(turn.numpy()).magnitude() < 5e-3
 
 
+@pytest.mark.slow
 def test_a_photo_without_pairs_is_not_settled(tmp_path):
     """The same matches, but of other features of the last photo: no pair with it is verified."""
     given, _ = six_panoramas()

@@ -311,6 +311,7 @@ def test_of_many_photos_each_is_compared_with_those_that_look_alike():
     assert pairs_to_compare(photos[:4], 0) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
 
 
+@pytest.mark.slow
 def test_features_keep_away_from_the_surround_and_from_angles_without_support():
     camera, _ = scene_camera("opencv-fisheye", (400, 300), 0, 190.0)
     rng = np.random.default_rng(0)

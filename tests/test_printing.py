@@ -126,6 +126,7 @@ def test_pdf_has_true_scale(pattern: Pattern, tmp_path: Path) -> None:
     assert np.ptp(ruler[1:, [0, 2]].mean(1)) == pytest.approx(page.ruler_mm, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_same_target_same_bytes(tmp_path: Path) -> None:
     pattern = ONE_EACH[0].values[0]
     assert isinstance(pattern, Pattern)
@@ -175,6 +176,7 @@ def test_a_folder_may_have_a_dot_in_its_name(name: str, tmp_path: Path) -> None:
     assert done.exit_code == 0 and {path.suffix for path in (tmp_path / name).iterdir()} >= {".pdf", ".svg"}
 
 
+@pytest.mark.slow
 def test_matplotlib_is_imported_for_printing_only() -> None:
     code = (
         "import sys, calib_patterns, calib_patterns.printing\n"

@@ -36,6 +36,7 @@ def test_round_photos_have_one_image_circle(shared_data: Path) -> None:
     np.testing.assert_allclose(found, np.broadcast_to(np.median(found, 0), found.shape), atol=4.0)
 
 
+@pytest.mark.slow
 def test_arcs_of_a_courtyard_lie_where_a_peer_sees_segments(shared_data: Path) -> None:
     """Of the length of OpenCV's LSD segments of 40 px and more most has an arc along it, within 2 px."""
     data = shared_data / "lines" / "castle30"

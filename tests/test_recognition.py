@@ -57,6 +57,7 @@ def test_layouts_are_those_of_opencv(size: tuple[int, int], legacy: bool) -> Non
         assert np.abs(found.pixels - (ours.points_m[:, :2] / 0.03 * 40 + 29.5)).max() < 0.1
 
 
+@pytest.mark.slow
 def test_the_wrong_layout_is_refused_by_a_board_alone() -> None:
     """Every other row of its tags agrees, which is half of them."""
     board = pattern("charuco:8x6:40mm:30mm:DICT_4X4_50:legacy")

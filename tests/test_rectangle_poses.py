@@ -102,6 +102,7 @@ def error_of(found: Pose, true: Pose) -> np.ndarray:
 
 
 @pytest.mark.parametrize("model, largest", [("pinhole", 0.5), ("opencv-fisheye", 1.55)])
+@pytest.mark.slow
 def test_poses_err_as_they_state(model: str, largest: float) -> None:
     camera, _ = scene_camera(model, (1280, 960), 0)
     rng, squares = np.random.default_rng(1), []

@@ -56,6 +56,7 @@ def test_given_polygons_cameras_and_poses_are_those_of_the_photos(room: Rendered
     assert list(moved.photos) == ["view00.png"]
 
 
+@pytest.mark.slow
 def test_a_specification_with_a_colon_is_a_target() -> None:
     made = render("checkerboard:8x6:30mm", "pinhole", fov_deg=70.0, views=1, size_px=(320, 240))
     assert isinstance(made, RenderedTargets) and made.photos["view00.png"].shape == (240, 320)

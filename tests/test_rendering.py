@@ -135,6 +135,7 @@ def test_boards_reach_the_largest_angle() -> None:
     assert (reach > 84.9).sum() >= 5
 
 
+@pytest.mark.slow
 def test_no_pose_is_an_error() -> None:
     with pytest.raises(GeometryError, match="found no such pose"):
         random_board_poses(pattern("checkerboard:60x50:5mm"), PINHOLE, 2, 0.5)

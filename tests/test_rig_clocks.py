@@ -183,6 +183,7 @@ def test_the_search_begins_within_a_step_of_the_offset() -> None:
     assert search.clocks_s((0, 3)) is None
 
 
+@pytest.mark.slow
 def test_a_rig_that_most_views_contradict_is_not_said_to_be_known() -> None:
     """Frames of the second camera are named wrongly in most runs, and nothing tells when they were taken."""
     corners = noisy(seen_freely(HandMotion(2), (0.0, 0.0), runs=12), NOISE_PX, 1)

@@ -92,6 +92,7 @@ def test_report_draws_the_rig(mixed):
     assert len(page) < 15_000_000
 
 
+@pytest.mark.slow
 def test_json_of_a_rig(mixed, capsys):
     _, folder = mixed
     arguments = ["calibrate", folder / "out/corners.csv", "--image-size", SIZES]
@@ -325,6 +326,7 @@ def test_values_by_camera():
             parse_each(wrong, "--model")
 
 
+@pytest.mark.slow
 def test_users_are_told_what_is_wrong(mixed, tmp_path, capsys):
     rig, folder = mixed
     table = folder / "corners.csv"

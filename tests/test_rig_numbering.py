@@ -77,6 +77,7 @@ def test_tags_form_no_lattice():
     assert Lattice.of(np.array([[a, -b, 0.0] for b in x for a in x])) is None
 
 
+@pytest.mark.slow
 def test_half_turns_are_undone():
     rig = pair(16)
     turned = [
@@ -136,6 +137,7 @@ def test_views_in_the_wrong_frame_are_dropped_with_their_reason():
     assert turn < 0.1 and shift < 1e-3
 
 
+@pytest.mark.slow
 def test_half_turns_that_one_common_frame_cannot_tell_are_not_guessed():
     """One common frame: with numberings that are not to be trusted, the camera is left out and the reason says so."""
     rig = pair(12)
@@ -153,6 +155,7 @@ def test_half_turns_that_one_common_frame_cannot_tell_are_not_guessed():
 
 
 @pytest.mark.parametrize("mirrored_numbers", [False, True])
+@pytest.mark.slow
 def test_side_of_a_mirror_follows_from_the_rig(mirrored_numbers):
     """A mirror camera beside a pinhole and a fisheye, its corners numbered as on the print or as they look in the mirror."""
     rig = mixed_rig(20)
@@ -187,6 +190,7 @@ def test_side_of_a_lens_follows_from_the_rig():
         assert turn < 0.1 and shift < 1e-3
 
 
+@pytest.mark.slow
 def test_numbers_of_the_printed_side_tell_a_mirror_by_themselves():
     """Two mirror cameras and nothing else: corners named by tags are seen from the printed side."""
     other = MIRROR.with_parameters(MIRROR.parameters + torch.tensor([3.0, -2, 0, 0, 0, 2, 0, 0, 0], dtype=torch.float64))

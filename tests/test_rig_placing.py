@@ -98,6 +98,7 @@ def test_an_instant_without_a_pose_is_placed_by_both_cameras_as_one(rig, few) ->
     torch.testing.assert_close(between.translation, expected.translation, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_an_instant_whose_pose_is_off_is_mended_and_the_others_stay(rig) -> None:
     scene, calibration = rig
     found = found_in(scene)

@@ -109,6 +109,7 @@ def test_nothing_is_called_metres_where_the_scale_is_open(room, open_scene, caps
     assert camera_models.load(open_scene / "calibration.yaml").provenance["length_unit"] == "units"
 
 
+@pytest.mark.slow
 def test_a_scene_folder_stays_without_metres_when_it_is_adjusted(room, open_scene, tmp_path, capsys):
     assert unit_of_file(open_scene / "poses.csv") is LengthUnit.OPEN
     assert unit_of_file(room / "poses.csv") is LengthUnit.METRES

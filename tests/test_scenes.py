@@ -108,6 +108,7 @@ def test_equal_brightness_and_different_colour() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
+@pytest.mark.slow
 def test_cameras_stand_in_free_space(name: str) -> None:
     """Whatever a camera looks at first is a front: it stands in no box; and nothing is nearer than the clearance."""
     directions = np.random.default_rng(0).standard_normal((40, 3))

@@ -40,6 +40,7 @@ def test_what_a_photo_shows_is_named(specification):
     assert seen_board(photo(specification)) == BOARDS[specification]
 
 
+@pytest.mark.slow
 def test_a_negative_and_a_mirror_image_are_told_and_texture_is_nothing():
     tagged = photo("charuco:9x7:30mm:22mm:DICT_5X5_100")
     assert seen_board(255 - tagged) == SeenBoard("charuco", 9, 7, "DICT_5X5_50", "negative")
@@ -118,6 +119,7 @@ def test_tags_that_are_numbered_otherwise_are_no_other_board(asked: str) -> None
     assert "look like" not in str(refused.value)
 
 
+@pytest.mark.slow
 def test_photos_that_were_flipped_are_said_to_be() -> None:
     """Whose tags read as the board asked for, in a mirror: flipped by software or a mirror, no board with other tags."""
     asked = "charuco:9x7:30mm:22mm:DICT_5X5_100"

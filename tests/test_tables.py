@@ -117,6 +117,7 @@ def test_corners_come_back(fields: Fields, tmp_path_factory: Folders) -> None:
 
 @given(fields=segment_fields())
 @settings(max_examples=100, deadline=None)
+@pytest.mark.slow
 def test_segments_come_back(fields: Fields, tmp_path_factory: Folders) -> None:
     table = Segments(*fields)
     ends = [frozenset(map(tuple, pair)) for pair in (table.endpoints_px + 0.0).tolist()]

@@ -38,6 +38,7 @@ def test_every_threshold_has_a_sentence_and_is_an_option_of_a_calibration() -> N
     assert len(list(walk(AdjustmentOptions()))) == 5
 
 
+@pytest.mark.slow
 def test_thresholds_decide_a_calibration() -> None:
     usual, strict = calibrated(), calibrated("robust.reject_sigma=2.5")
     assert usual.kept.sum() > 0.99 * len(usual.kept) > strict.kept.sum() + 0.02 * len(usual.kept)

@@ -41,6 +41,7 @@ def test_right_angles_seen_from_several_sides_tell_the_scale_wherever_it_is() ->
         assert abs(math.log(found.factor * factor)) < 3.0 * found.sigma < found.reach < 0.03
 
 
+@pytest.mark.slow
 def test_walls_at_85_degrees_seen_from_several_sides_explain_themselves() -> None:
     found = told([5.0, 40.0, 95.0, -30.0], 85.0, 1.1)
     assert not found.decisive and found.odds < 1.0

@@ -76,6 +76,7 @@ def test_a_bend_is_told_with_what_it_does_to_the_camera() -> None:
     assert apart_px(flat.model, LENS) > 1.5 * stated_px and apart_px(bent.model, LENS) < 0.3 * apart_px(flat.model, LENS)
 
 
+@pytest.mark.slow
 def test_oblong_squares_are_told_with_what_they_do_to_the_camera() -> None:
     """A print that is 0.5 percent higher than wide, as printers make it, is no bend; the camera that is told of it is right."""
     corners = seen(0.0, 0.0, 4, views=24, aspect=0.005, noise_px=0.02)
@@ -141,6 +142,7 @@ def off_px(fit: CameraCalibration, much: float) -> float:
 
 
 @pytest.mark.parametrize("model", ["opencv-fisheye", "scaramuzza"])
+@pytest.mark.slow
 def test_a_lens_that_is_not_centred_is_told_with_what_it_does_to_the_camera(model: str) -> None:
     fit = calibrate_camera(decentred(1, 1.0), WIDE.image_size, model)
     (note,) = said(fit)

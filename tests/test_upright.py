@@ -59,6 +59,7 @@ def test_views_are_level_and_say_what_they_were_turned_by(room: Path, tmp_path: 
         assert math.degrees(front.tilt_rad) == pytest.approx(data["upright"][k]["tilt_deg"])
 
 
+@pytest.mark.slow
 def test_a_level_view_is_the_photo_that_a_level_camera_takes(room: Path) -> None:
     """Its own vertical is straight up: levelled again it does not move."""
     names = ol.read_poses(room / "poses.csv").images

@@ -40,6 +40,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, st
     return int(ended.value.code or 0), capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_render_targets_writes_photos_and_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     told = []
     rendered = render_targets(SPEC, "scaramuzza", RenderOptions(fov_deg=200.0, views=3, size_px=SIZE, seed=4))

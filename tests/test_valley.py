@@ -82,6 +82,7 @@ def test_a_straight_valley_keeps_its_linear_intervals():
 
 
 @pytest.mark.parametrize("residuals", [bent, double])
+@pytest.mark.slow
 def test_ends_are_where_the_profile_has_risen_as_far(residuals):
     starts = [(0.5, 0.5)] if residuals is bent else [(-2.1, -0.6), (2.1, 0.6)]
     found, solutions = found_from(residuals, *starts)

@@ -79,6 +79,7 @@ def test_any_executor_finds_what_this_process_does(scene: Scene) -> None:
     assert pickled.bytes < 20_000
 
 
+@pytest.mark.slow
 def test_models_fitted_by_workers_are_those_fitted_here() -> None:
     """One task a model and stage, equal to the last bit; what a worker cannot fit is said as here."""
     lens = OpenCVFisheye([320.0, 320.0, 645.0, 470.0, -0.05, 0.03, -0.02, 0.004], (1280, 960))
@@ -163,6 +164,7 @@ def test_a_batch_whose_worker_has_no_disk_or_memory_left_is_tried_again_and_then
         ol.extract(scene.room, scene.cameras, executor=Pickled(fails(2, error=ZeroDivisionError())))
 
 
+@pytest.mark.slow
 def test_workers_that_cannot_see_a_photo_or_run_another_version_are_named(
     scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
