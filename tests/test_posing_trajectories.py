@@ -14,8 +14,8 @@ from camera_models import Calibration, GeometryError, InputError, OpenCVFisheye
 from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
 from omnilines.posing.from_tool import poses_from_tool
-from omnilines.posing.moments import number_of, time_of
 from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.photo_times import number_of, time_of
 from omnilines.posing.tools import pose_file_of
 from omnilines.records import LengthUnit
 

@@ -75,8 +75,8 @@ def rectify(
         Path | None,
         typer.Option(
             "--poses",
-            help="poses.csv, a COLMAP model's folder, or a file of Metashape, Nerfstudio, OpenMVG or OpenSfM: the poses of the "
-            "views are written too.",
+            help="poses.csv, a COLMAP model's folder, a file of Metashape, Pix4D, Nerfstudio, OpenMVG or OpenSfM, or a "
+            "trajectory (TUM, EuRoC, KITTI): the poses of the views are written too.",
         ),
     ] = None,
     fov_deg: Annotated[

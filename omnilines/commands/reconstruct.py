@@ -37,7 +37,7 @@ from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
 from omnilines.pipelines.pose_tables import named_cameras, unit_of_file, unit_of_poses, up_of_file
-from omnilines.pipelines.poses import check_source, estimate_poses, from_photos, require_source
+from omnilines.pipelines.poses import check_source, estimate_poses, from_photos, require_body, require_source
 from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
 from omnilines.posing.from_colmap import poses_from_colmap
@@ -237,9 +237,8 @@ def _pose_files(source: str) -> list[Path]:
 
 def _poses(path: Path, segments: Segments, cameras: Calibration, body: Path | None) -> PhotoPoses:
     """The poses of a table, a COLMAP model or another tool's file, or those that see a table's points of known place."""
+    require_body(str(path), body)
     tool = pose_file_of(path)
-    if tool is None and body is not None:
-        raise InputError(f"`body` was expected with `poses` of a trajectory and only there, found `poses` {path}; leave it out.")
     if tool is None and not path.is_dir() and not is_corners_table(path):
         return PhotoPoses(read_poses(path))
     camera_of = dict(zip(segments.images, cameras_of_images(segments, None, cameras), strict=True))

@@ -93,6 +93,11 @@ def require_source(source: str, pattern: str | None, body: Path | None = None) -
             f"`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, {TITLES}, or one of "
             f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
         )
+    require_body(source, body)
+
+
+def require_body(source: str, body: Path | None) -> None:
+    """Raises InputError where a body is given with poses that are of no other tool."""
     if body is not None and (from_photos(source) or kind_of(source) != "tool"):
         raise InputError(
             f"`body` was expected with `poses` of a trajectory and only there, found `poses` {source}; leave it out."

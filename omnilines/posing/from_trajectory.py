@@ -14,9 +14,9 @@ from camera_models.pose import Pose
 from omnilines.geometry.between_poses import left_out_errors, poses_between
 from omnilines.posing.body import mounts
 from omnilines.posing.instant_names import instants
-from omnilines.posing.moments import NANOSECOND_S, number_of, time_of, unit_s
 from omnilines.posing.options import GivenOptions
 from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.photo_times import NANOSECOND_S, number_of, time_of, unit_s
 from omnilines.posing.tools import Keys, ToolPoses
 from omnilines.records import ImagePoses
 
@@ -38,8 +38,8 @@ def poses_from_trajectory(
     """`cam_from_world` of photos that are named by their time or number, or whose stamps are known.
 
     The trajectory is that of the body on which the file `body` places the cameras; without one that of the camera, with a rig
-    that of the rig frame. Between two rows up to `max_gap_s` apart poses are
-    interpolated, and a note says how far that errs. Raises InputError where no photo has a pose.
+    that of the rig frame. Between two rows up to `max_gap_s` apart poses are interpolated, and a note says how far that errs.
+    Raises InputError where no photo has a pose.
     """
     by_time, mounted = own.keys is Keys.TIMES, mounts(body, cameras)
     moments = _times_s(own, photos, stamps_ns) if by_time else {photo: number_of(photo) for photo in photos}

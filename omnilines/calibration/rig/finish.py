@@ -19,6 +19,7 @@ from omnilines.calibration.rig.links import Link, links, weakest_link
 from omnilines.calibration.rig.misfits import rig_misfits
 from omnilines.calibration.rig.notes import rig_notes
 from omnilines.calibration.rig.outcome import RigOutcome
+from omnilines.calibration.rig.own_fit import own_fit
 from omnilines.calibration.rig.result import TWIST_NAMES, RigCalibration, RigMember
 from omnilines.calibration.rig.systematic import moved_by_radial_shifts
 from omnilines.calibration.rig.unmodelled import rig_unmodelled
@@ -206,7 +207,9 @@ def _members(
     data, state = outcome.data, outcome.solution.state
     corners, found, low = data.views.corners, [], 0
     sigmas = outcome.certain_factor.sigmas(SHARE)
-    free, misfits, others = _free_clocks(data), rig_misfits(outcome), other_than_given(outcome)
+    fits = [own_fit(outcome, c) for c in data.cameras]
+    misfits = rig_misfits(fits, outcome.thresholds.degeneracy.misfit_significance)
+    free, others = _free_clocks(data), other_than_given(fits, outcome.held, outcome.thresholds)
     clocks = {k: place - len(free) for place, k in enumerate(free)}
     for k, c in enumerate(data.cameras):
         model, name = state.models[k], data.views.cameras[c]

@@ -6,6 +6,7 @@ the board in each, the camera says itself whether it is the one that was given.
 """
 
 import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -17,8 +18,7 @@ from omnilines.calibration.by_views import stated_covariance
 from omnilines.calibration.diagnose import supported_angles_deg
 from omnilines.calibration.lines.camera import focal_length
 from omnilines.calibration.refine import BoardProblem
-from omnilines.calibration.rig.outcome import RigOutcome
-from omnilines.calibration.rig.own_fit import OwnFit, own_fit
+from omnilines.calibration.rig.own_fit import OwnFit
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.calibration.unmodelled import moved_and_stated_px
 from omnilines.least_squares import Outcome
@@ -56,15 +56,13 @@ class OtherThanGiven:
         )
 
 
-def other_than_given(outcome: RigOutcome) -> tuple[OtherThanGiven | None, ...]:
-    """Of each member whose calibration is held, at the significance of one camera for all of them together; None where it is that
-    of the photos up to what they tell, or up to the noise of a corner."""
-    held = outcome.held
-    thresholds = outcome.thresholds
+def other_than_given(
+    fits: Sequence[OwnFit], held: Collection[int], thresholds: CalibrationThresholds
+) -> tuple[OtherThanGiven | None, ...]:
+    """Of each member whose calibration is held, by its own fit, at the significance of one camera for all of them together; None
+    where it is that of the photos up to what they tell, or up to the noise of a corner."""
     significance = thresholds.degeneracy.misfit_significance / max(1, len(held))
-    return tuple(
-        _other(own_fit(outcome, c), significance, thresholds) if k in held else None for k, c in enumerate(outcome.data.cameras)
-    )
+    return tuple(_other(own, significance, thresholds) if k in held else None for k, own in enumerate(fits))
 
 
 def _other(own: OwnFit, significance: float, thresholds: CalibrationThresholds) -> OtherThanGiven | None:

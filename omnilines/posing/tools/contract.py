@@ -74,7 +74,8 @@ class PoseFile(ABC):
             one = "photo" if found.keys is Keys.NAMES else "row"
             raise InputError(f"{path}: each {one} was expected once, found {twice[0]} several times; export the poses again.")
         if not found.names:
-            raise InputError(f"{path}: poses of photos were expected in {self.TITLE}, found none; align the photos there first.")
+            todo = "align the photos there first" if found.keys is Keys.NAMES else "export it again"
+            raise InputError(f"{path}: poses were expected in {self.TITLE}, found none; {todo}.")
         return found
 
 

@@ -23,7 +23,7 @@ PLAIN, NUMBERED = 12, (13, 17)
 class KittiPoses(PoseFile):
     """A table of matrices."""
 
-    TITLE = "one by frames (KITTI)"
+    TITLE = "a trajectory by frames (KITTI)"
 
     def recognises(self, path: Path, head: str) -> bool:
         """Rows of 12, 13 or 17 numbers."""

@@ -3,8 +3,8 @@ VINS-Mono's and VINS-Fusion's vio.csv.
 
 Rows hold world_from_body, the body being the camera, or what the camera sits on. Without a header the order of eight columns is
 TUM's, that of eleven VINS's, which has the velocity behind; a header behind # names the columns, as EuRoC's does, and the unit of
-time. Lengths are metres. https://cvg.cit.tum.de/data/datasets/
-rgbd-dataset/file_formats; M. Burri et al., The EuRoC micro aerial vehicle datasets, IJRR 2016.
+time. Lengths are metres. https://cvg.cit.tum.de/data/datasets/rgbd-dataset/file_formats; M. Burri et al., The EuRoC micro aerial
+vehicle datasets, IJRR 2016; VINS-Fusion's sources, `utility/visualization.cpp`.
 """
 
 from collections.abc import Sequence
@@ -65,8 +65,8 @@ class TimedPoses(PoseFile):
         kept = length > 0
         for k in torch.nonzero(kept & ((length - 1).abs() > ROUNDED)).flatten()[:1].tolist():
             raise InputError(
-                f"Quaternions of length 1 were expected in the last four columns, found one of length {float(length[k]):.3g} in "
-                f"{given[k][0]}; export the trajectory again."
+                f"Quaternions of length 1 were expected, found one of length {float(length[k]):.3g} in {given[k][0]}; export the "
+                "trajectory again."
             )
         # Trackers write zeros where they have lost the body.
         held = torch.nonzero(kept).flatten().tolist()
