@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from camera_models.double_sphere import DoubleSphere
     from camera_models.equirectangular import Equirectangular
     from camera_models.extended_unified import ExtendedUnified
+    from camera_models.fisheye624 import Fisheye624
     from camera_models.fitting import Conversion, convert
     from camera_models.formats.native import Calibration, CameraEstimate, load, save
     from camera_models.opencv_fisheye import OpenCVFisheye
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 MODELS: tuple[tuple[str, str], ...] = (
     ("pinhole", "camera_models.pinhole:Pinhole"),
     ("opencv-fisheye", "camera_models.opencv_fisheye:OpenCVFisheye"),
+    ("fisheye624", "camera_models.fisheye624:Fisheye624"),
     ("scaramuzza", "camera_models.scaramuzza:Scaramuzza"),
     ("unified", "camera_models.unified:Unified"),
     ("extended-unified", "camera_models.extended_unified:ExtendedUnified"),
@@ -47,6 +49,7 @@ _LAZY = {
     "DoubleSphere": "camera_models.double_sphere",
     "Equirectangular": "camera_models.equirectangular",
     "ExtendedUnified": "camera_models.extended_unified",
+    "Fisheye624": "camera_models.fisheye624",
     "convert": "camera_models.fitting",
     "load": "camera_models.formats.native",
     "save": "camera_models.formats.native",
@@ -67,6 +70,7 @@ __all__ = [
     "DoubleSphere",
     "Equirectangular",
     "ExtendedUnified",
+    "Fisheye624",
     "GeometryError",
     "InputError",
     "OmnilinesError",

@@ -57,6 +57,9 @@ class CameraModel(ABC):
     AXIS_SIGN_OPEN: ClassVar[bool] = False
     """Whether photos of plain boards leave open to which side the camera looks, as a lens or a mirror (`reversed`)."""
 
+    COEFFICIENTS: ClassVar[tuple[int, ...]] = ()
+    """How many distortion coefficients a calibration may estimate, where that can be chosen (`coefficients`)."""
+
     OPTIONAL_TERMS: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Parameters that a lens may do without (zero), from those that it needs first to those that it needs last."""
 

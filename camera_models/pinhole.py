@@ -35,6 +35,7 @@ class Pinhole(CameraModel):
     """Perspective camera; zero distortion coefficients make it the ideal one."""
 
     NAME = "pinhole"
+    COEFFICIENTS = (0, 5, 8)
     VARIANTS = ({"coefficients": 5}, {"coefficients": 8})
     OPTIONAL_TERMS = (("k1",), ("k2",), ("p1", "p2"), ("k3",), ("k4", "k5", "k6"))
     LARGEST_ANGLE = math.pi / 2
@@ -50,7 +51,7 @@ class Pinhole(CameraModel):
     ) -> None:
         super().__init__(parameters, image_size, trial=trial)
         self.coefficients = coefficients
-        if coefficients not in (0, 5, 8):
+        if coefficients not in self.COEFFICIENTS:
             raise InputError(
                 f"Camera model pinhole estimates 0, 5 or 8 distortion coefficients, found {coefficients}; choose one."
             )

@@ -4,14 +4,16 @@ import struct
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from tool_files import put, rig_pair
 
-from camera_models import Calibration, Equirectangular, InputError, OpenCVFisheye, Pinhole, Scaramuzza
+from camera_models import Calibration, Equirectangular, Fisheye624, InputError, OpenCVFisheye, Pinhole, Scaramuzza
 from camera_models.formats import read, write
 from camera_models.formats.calibration_data import RigCamera
+from camera_models.formats.contract import Content
 from camera_models.pose import Pose
 
 CAMERAS = """# Camera list with one line of data per camera:
@@ -112,13 +114,41 @@ def test_colmap_division_is_a_polynomial(tmp_path: Path) -> None:
         np.testing.assert_allclose(bearings, rays / np.linalg.norm(rays, axis=-1, keepdims=True), atol=1e-12)
 
 
+def of_colmap(tmp_path: Path, model: str, values: list[float]) -> tuple[Content, np.ndarray, np.ndarray]:
+    """What is read of a camera of 1280 x 960 px, rays up to 85 degrees off axis that it shows, and their pixels by pycolmap."""
+    row = f"1 {model} 1280 960 {' '.join(map(str, values))}\n"
+    rng = np.random.default_rng(2)
+    theta, phi = rng.uniform(0, np.radians(85), 2000), rng.uniform(-np.pi, np.pi, 2000)
+    rays = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1)
+    pixels = pycolmap.Camera(model=model, width=1280, height=960, params=values).img_from_cam(rays)
+    inside = ((pixels > 0.5) & (pixels < [1279.5, 959.5])).all(-1)
+    assert inside.sum() > 1000
+    return read(put(tmp_path / "cameras.txt", row)), rays[inside], pixels[inside] - 0.5
+
+
+def test_colmap_decentred_fisheye_is_held_to_the_digit(tmp_path: Path) -> None:
+    values = [301.2, 302.5, 640.5, 482.0, 0.02, -0.012, 0.004, -0.0005, 1e-5, -1e-6, 8e-4, -6e-4, 1e-3, -3e-4, -7e-4, 2e-4]
+    content, rays, pixels = of_colmap(tmp_path, "RAD_TAN_THIN_PRISM_FISHEYE", values)
+    (camera,) = content.calibration.values()
+    assert isinstance(camera, Fisheye624) and content.notes == ()
+    np.testing.assert_allclose(camera.project(rays)[0], pixels, rtol=0, atol=1e-9)
+
+
+def test_colmap_thin_prism_fisheye_is_read_as_near_as_is_said(tmp_path: Path) -> None:
+    """The terms of lenses in ETH3D's data sets, at the focal length of a fisheye."""
+    values = [300.0, 301.0, 640.0, 480.0, -0.01, 0.004, 5e-4, -7e-4, -0.002, 1e-4, 1e-3, -8e-4]
+    content, rays, pixels = of_colmap(tmp_path, "THIN_PRISM_FISHEYE", values)
+    (camera,), (note,) = content.calibration.values(), content.notes
+    said_px, rms_px = (float(note.rpartition(word)[2].split(" px")[0]) for word in ("within ", "px ("))
+    off = np.linalg.norm(np.asarray(camera.project(rays)[0]) - pixels, axis=1)
+    assert isinstance(camera, Fisheye624) and content.calibration.estimates["1"].max_angle_deg > 85
+    assert off.max() < said_px < 0.05 and np.sqrt((off**2).mean()) < 2 * rms_px
+
+
 @pytest.mark.parametrize(
     ("row", "message"),
     [
-        (
-            "1 THIN_PRISM_FISHEYE 100 80 50 50 50 40 0 0 0 0 0 0 0 0",
-            "found THIN_PRISM_FISHEYE; convert it to one of these with COLMAP",
-        ),
+        ("1 THIN_PRISM_FISHEYE 100 80 50 50 50 40 -1e6 0 0 0 0 0 0 0", "curve that grows with the angle"),
         ("1 FOV 100 80 50 50 50 40 0.9", "found FOV; convert it"),
         ("1 PINHOLE 100 80 50 50 50", "line 1 must hold 4 parameters for PINHOLE, found 3"),
         ("1 PINHOLE 100 80 50 50 50 x", "line 1 must hold numbers, found '50 50 50 x'"),

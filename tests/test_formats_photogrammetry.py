@@ -130,6 +130,7 @@ def test_metashape_fisheyes_are_polynomials_of_the_angle(tmp_path: Path) -> None
         ("frame", "pinhole", 900.0, {"b2": 0.4, "k1": -0.1, "k2": 0.09, "k3": -0.05, "k4": 0.01, "p1": 5e-4, "p2": -3e-4}, 0.02),
         ("frame", "pinhole", 900.0, {"k1": -0.1, "k2": 0.02, "p1": 5e-4, "p2": -3e-4, "p3": 0.2}, 0.02),
         ("fisheye", "unified", 420.0, {"b1": 1.0, "b2": 0.4, "k1": 0.02, "k2": -0.01, "k3": 1e-3, "p1": 5e-4, "p2": -3e-4}, 0.3),
+        ("fisheye", "fisheye624", 420.0, {"b1": 1.0, "k1": 0.02, "k2": -0.01, "k3": 1e-3, "p1": 5e-4, "p2": -3e-4}, 0.02),
     ],
 )
 def test_metashape_cameras_with_terms_of_their_own_are_read_as_near_as_is_said(

@@ -1,8 +1,7 @@
 """Project Aria's device calibration as JSON: `CameraCalibrations`, each with its projection and T_Device_Camera.
 
     Linear                    pinhole           fx fy cx cy
-    FisheyeRadTanThinPrism    opencv-fisheye    f cx cy k0 ... k5 p0 p1 s0 s1 s2 s3 (fisheye624): k0 to k3 are ours, the rest 0;
-                                                others are read as the polynomial nearest to them (`fisheye624`), with the error
+    FisheyeRadTanThinPrism    fisheye624        f cx cy k0 ... k5 p0 p1 s0 s1 s2 s3
     KannalaBrandtK3           opencv-fisheye    fx fy cx cy k0 k1 k2 k3
 
 The radial polynomial of both is theta + k0 theta^3 + k1 theta^5 + ...; the centre of the first pixel is (0, 0). T_Device_Camera
@@ -14,25 +13,19 @@ system conventions".
 from pathlib import Path
 from typing import Any, ClassVar
 
-import numpy as np
-
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
-from camera_models.formats.calibration_data import Calibration, CameraEstimate
+from camera_models.fisheye624 import Fisheye624
+from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, left_out
-from camera_models.formats.fisheye624 import nearest_fisheye624
 from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
-from camera_models.formats.nearest import Nearest
 from camera_models.formats.rig_poses import pose_of_quaternion, quaternion_of_pose, rig_of
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import items, mapping, numbers, required, text
 from camera_models.pose import Pose
 from camera_models.wording import listed
 
-_FISHEYE624 = "FisheyeRadTanThinPrism"
-_BEYOND = ("k4", "k5", "p0", "p1", "s0", "s1", "s2", "s3")
-"""Terms of fisheye624 for which opencv-fisheye has no place: written as 0."""
 _CAMERAS, _SIZES, _POSE = "CameraCalibrations", "ImageSizes", "T_Device_Camera"
 _KEYS = ("Label", "Projection", _POSE, "Calibrated")
 
@@ -47,7 +40,7 @@ class Aria(CalibrationFormat):
     NEEDS_RIG = True
     FORMS: ClassVar[tuple[Form, ...]] = (
         Form("Linear", "pinhole", ("fx", "fy", "cx", "cy"), options={"coefficients": 0}),
-        Form(_FISHEYE624, "opencv-fisheye", ("f", "cx", "cy", "k1", "k2", "k3", "k4")),
+        Form("FisheyeRadTanThinPrism", "fisheye624", ("f", "cx", "cy", *Fisheye624.PARAMETER_NAMES[4:])),
         Form("KannalaBrandtK3", "opencv-fisheye", ("fx", "fy", "cx", "cy", "k1", "k2", "k3", "k4")),
     )
 
@@ -71,8 +64,6 @@ class Aria(CalibrationFormat):
             raise InputError(f"{_SIZES} must be of {len(entries)} cameras, found {len(sizes)}; correct the file.")
         cameras: dict[str, CameraModel] = {}
         poses: dict[str, Pose] = {}
-        estimates: dict[str, CameraEstimate] = {}
-        notes: list[str] = []
         beside = {"the file": [key for key in data if key not in (_CAMERAS, _SIZES)]}
         for index, (entry, size) in enumerate(zip(entries, sizes, strict=True)):
             table = mapping(entry, f"camera {index}")
@@ -82,41 +73,27 @@ class Aria(CalibrationFormat):
             if size is None:
                 raise InputError(f"{_SIZES} is missing in the file, which does not say how large images are; give `image_size`.")
             projection = mapping(required(table, "Projection", name), name)
-            found = self._camera(projection, size_of(size, f"{_SIZES} of {name}"), name)
-            cameras[name] = found.camera if isinstance(found, Nearest) else found
-            if isinstance(found, Nearest):
-                estimates[name] = CameraEstimate(max_angle_deg=found.upto_deg)
-                notes.append(
-                    f"{name} is fisheye624 with terms for which no camera model here has a place ({listed(_BEYOND)}): it is "
-                    f"read as the scaramuzza polynomial nearest to it, up to {found.upto_deg:.1f} degrees off axis and within "
-                    f"{found.max_px:.2g} px ({found.rms_px:.2g} px RMS)."
-                )
+            cameras[name] = self._camera(projection, size_of(size, f"{_SIZES} of {name}"), name)
             if table.get(_POSE) is not None:
                 poses[name] = _cam_from_device(mapping(table[_POSE], f"{_POSE} of {name}"), name)
             beside[name] = [key for key in table if key not in _KEYS]
         if len(poses) not in (0, len(cameras)):
             raise InputError(f"{_POSE} must be there of all cameras or of none, found that of {listed(poses)}; correct the file.")
-        return Content(Calibration(cameras, estimates, rig_of(poses)), (*notes, *left_out(beside)))
+        return Content(Calibration(cameras, rig=rig_of(poses)), left_out(beside))
 
-    def _camera(self, projection: dict[str, Any], size: tuple[int, int], name: str) -> CameraModel | Nearest:
+    def _camera(self, projection: dict[str, Any], size: tuple[int, int], name: str) -> CameraModel:
         form = self.form_named(text(required(projection, "Name", name), f"Name of {name}"), name)
-        count = len(form.order or ()) + (len(_BEYOND) if form.name == _FISHEYE624 else 0)
-        values = numbers(required(projection, "Params", name), (count,), f"Params of {name}").tolist()
-        if form.name == _FISHEYE624:
-            if any(values[-len(_BEYOND) :]):
-                return nearest_fisheye624(np.array(values), size)
-            values = values[: -len(_BEYOND)]
-        return form.camera(values, size, name)
+        count = len(form.order or ())
+        return form.camera(numbers(required(projection, "Params", name), (count,), f"Params of {name}").tolist(), size, name)
 
     def _documents(self, path: Path, calibration: Calibration) -> Documents:
         entries: list[dict[str, Any]] = []
         for name, model in calibration.items():
             form = self.exact_form(model)
-            values = [*form.values(model), *([0.0] * len(_BEYOND) if form.name == _FISHEYE624 else [])]
             pose = (calibration.rig[name].cam_from_rig if calibration.rig else Pose.identity()).inverse()
             w, *xyz = quaternion_of_pose(pose)
             entries.append({
-                "Calibrated": True, "Label": name, "Projection": {"Name": form.name, "Params": values},
+                "Calibrated": True, "Label": name, "Projection": {"Name": form.name, "Params": form.values(model)},
                 _POSE: {"Translation": (pose.translation + 0.0).tolist(), "UnitQuaternion": [w, xyz]},
             })  # fmt: skip
         sizes = [list(model.image_size) for model in calibration.values()]

@@ -4,7 +4,8 @@
     rigs       RIG_ID NUM_SENSORS REF_TYPE REF_ID (TYPE ID HAS_POSE [QW QX QY QZ TX TY TZ])...       sensor_from_rig
 
 The upper left corner of the image is (0, 0) there, so centres are ours plus 0.5. A camera is called by its id. The division model
-is the polynomial one of degree 2: k = a0 a2. COLMAP's code sees nothing at z <= 0 through any model but EQUIRECTANGULAR.
+is the polynomial one of degree 2: k = a0 a2; THIN_PRISM_FISHEYE is read as what is nearest to it. COLMAP's code sees nothing at
+z <= 0 through any model but EQUIRECTANGULAR.
 COLMAP documentation, "output format" and "camera models"; `colmap_files` has the layout of the binary files.
 """
 
@@ -14,6 +15,7 @@ from typing import ClassVar
 from camera_models._model import CameraModel
 from camera_models.equirectangular import Equirectangular
 from camera_models.errors import InputError
+from camera_models.fisheye624 import Fisheye624
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.colmap_files import (
     CAMERA,
@@ -26,8 +28,10 @@ from camera_models.formats.colmap_files import (
     write_cameras,
     write_rigs,
 )
+from camera_models.formats.colmap_lens import nearest_thin_prism_fisheye
 from camera_models.formats.contract import CalibrationFormat, Content, Documents, is_folder
 from camera_models.formats.forms import Form
+from camera_models.formats.nearest import Nearest, told
 from camera_models.formats.rig_poses import pose_of_quaternion, quaternion_of_pose, rig_of
 from camera_models.pose import Pose
 from camera_models.scaramuzza import Scaramuzza
@@ -35,6 +39,7 @@ from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _F = ("f", "cx", "cy")
+_RAD_TAN = "RAD_TAN_THIN_PRISM_FISHEYE"
 _BROWN = ("k1", "k2", "p1", "p2")
 _CENTRE = 0.5
 """Of the first pixel, in COLMAP."""
@@ -60,6 +65,7 @@ class Colmap(CalibrationFormat):
         Form("SIMPLE_RADIAL_FISHEYE", "opencv-fisheye", (*_F, "k1"), ends_deg=90.0),
         Form("RADIAL_FISHEYE", "opencv-fisheye", (*_F, "k1", "k2"), ends_deg=90.0),
         Form("OPENCV_FISHEYE", "opencv-fisheye", (*_K, "k1", "k2", "k3", "k4"), ends_deg=90.0),
+        Form(_RAD_TAN, "fisheye624", Fisheye624.PARAMETER_NAMES, ends_deg=90.0, on_request=True),
         Form(
             "DIVISION",
             "scaramuzza",
@@ -89,15 +95,15 @@ class Colmap(CalibrationFormat):
     def _read(self, path: Path, image_size: tuple[int, int] | None) -> Content:
         file = _in_folder(path) if path.is_dir() else path
         records = read_cameras(file)
-        cameras = {str(record.id): self._camera(record) for record in records}
+        cameras, estimates, notes = told({str(record.id): self._camera(record) for record in records})
         beside = file.with_name(file.name.replace("cameras", "rigs"))
         if beside == file or not beside.is_file():
-            return Content(Calibration(cameras))
+            return Content(Calibration(cameras, estimates), notes)
         rigs = [rig for rig in read_rigs(beside) if len(rig.sensors) > 1]
         poses, note = _poses(rigs, list(cameras))
-        return Content(Calibration(cameras, rig=rig_of(poses)), (note,) if note else ())
+        return Content(Calibration(cameras, estimates, rig_of(poses)), (*notes, note) if note else notes)
 
-    def _camera(self, record: CameraRecord) -> CameraModel:
+    def _camera(self, record: CameraRecord) -> CameraModel | Nearest:
         where = f"camera {record.id}"
         size = (record.width, record.height)
         values = list(record.parameters)
@@ -109,6 +115,8 @@ class Colmap(CalibrationFormat):
             return Equirectangular([], size)
         if record.model in ("DIVISION", "SIMPLE_DIVISION"):
             return _of_division(record)
+        if record.model == "THIN_PRISM_FISHEYE":
+            return nearest_thin_prism_fisheye(values, (values[2] - _CENTRE, values[3] - _CENTRE), size)
         model = self.form_named(record.model, where).camera(values, size, where)
         named = model.named_parameters()
         return type(model).from_mapping(named | {key: named[key] - _CENTRE for key in ("cx", "cy")}, size)

@@ -26,6 +26,8 @@ class Form:
     """Of the model, for a fit to this form."""
     ends_deg: float = 180.0
     """Angle off axis at which the code of the format's own tool stops."""
+    on_request: bool = False
+    """Whether cameras of other models are fitted by it only where its model is named: few programs read it."""
 
     @property
     def written(self) -> tuple[str, ...] | None:

@@ -19,12 +19,12 @@ from xml.etree import ElementTree
 
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
-from camera_models.formats.calibration_data import Calibration, CameraEstimate
+from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import DEFAULT_NAME, HAS_POSES, CalibrationFormat, Content, Documents
 from camera_models.formats.disk import read_text
 from camera_models.formats.forms import Form
 from camera_models.formats.metashape_lens import nearest_metashape
-from camera_models.formats.nearest import Nearest
+from camera_models.formats.nearest import Nearest, told
 from camera_models.formats.values import image_size as size_of
 from camera_models.formats.values import number, of_text
 from camera_models.formats.xml_text import read_xml
@@ -117,16 +117,8 @@ class Metashape(CalibrationFormat):
 
 
 def _content(found: Mapping[str, CameraModel | Nearest], notes: tuple[str, ...]) -> Content:
-    """Cameras, with what is to be said of those that are only near."""
-    cameras = {name: one.camera if isinstance(one, Nearest) else one for name, one in found.items()}
-    near = {name: one for name, one in found.items() if isinstance(one, Nearest)}
-    told = tuple(
-        f"{name} has terms for which no camera model here has a place: it is read as the {one.camera.NAME} camera nearest to it, "
-        f"up to {one.upto_deg:.1f} degrees off axis and within {one.max_px:.2g} px ({one.rms_px:.2g} px RMS)."
-        for name, one in near.items()
-    )
-    estimates = {name: CameraEstimate(max_angle_deg=one.upto_deg) for name, one in near.items()}
-    return Content(Calibration(cameras, estimates), (*told, *notes))
+    cameras, estimates, near = told(found)
+    return Content(Calibration(cameras, estimates), (*near, *notes))
 
 
 def _texts(calibration: ElementTree.Element) -> dict[str, str]:

@@ -15,6 +15,7 @@ import torch
 from jaxtyping import Float
 from numpy.polynomial.polynomial import polyval
 
+from camera_models.fisheye624 import Fisheye624
 from camera_models.formats.nearest import SAMPLES, Lens, Nearest, nearest_camera
 from camera_models.pinhole import Pinhole
 from camera_models.unified import Unified
@@ -22,7 +23,7 @@ from camera_models.unified import Unified
 
 def nearest_metashape(terms: Mapping[str, float], centre: tuple[float, float], size: tuple[int, int], fisheye: bool) -> Nearest:
     """The nearest camera to f, b1, b2, k1 ... k4, p1 ... p4, whose principal point is `centre` (px, ours): a `pinhole` with all
-    its terms, of a fisheye a `unified` one, or a `scaramuzza` polynomial.
+    its terms, of a fisheye a `unified` or a `fisheye624` one, or a `scaramuzza` polynomial.
 
     Raises InputError where the curve does not grow within the image.
     """
@@ -51,7 +52,8 @@ def nearest_metashape(terms: Mapping[str, float], centre: tuple[float, float], s
     if fisheye:
         theta = np.linspace(0.0, lens.end_rad(), SAMPLES + 1)[1:]
         rho_px, angle = torch.from_numpy(terms["f"] * radius(theta)), torch.from_numpy(theta)
-        return nearest_camera(lens, [Unified.from_radial_curve(rho_px, angle, torch.from_numpy(middle), size)])
+        curve = (rho_px, angle, torch.from_numpy(middle), size)
+        return nearest_camera(lens, [Unified.from_radial_curve(*curve), Fisheye624.from_radial_curve(*curve, coefficients=12)])
     values = [terms["f"] + terms["b1"], terms["f"], *centre, terms["b2"]]
     distortion = [terms["k1"], terms["k2"], terms["p2"], terms["p1"], terms["k3"], 0.0, 0.0, 0.0]
     return nearest_camera(lens, [Pinhole(values + distortion, size)])

@@ -2,8 +2,9 @@
 what comes nearer from a start."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -12,6 +13,7 @@ from jaxtyping import Float
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
 from camera_models.fitting import refine
+from camera_models.formats.calibration_data import CameraEstimate
 from camera_models.scaramuzza import Scaramuzza
 
 DEGREES = range(3, 13)
@@ -135,6 +137,31 @@ class Nearest:
     max_px: float
     upto_deg: float
     """Off axis."""
+
+    def note(self, name: str) -> str:
+        """For people: what a camera of this name was read as."""
+        return (
+            f"{name} has terms for which no camera model here has a place: it is read as the {self.camera.NAME} camera nearest "
+            f"to it, up to {self.upto_deg:.1f} degrees off axis and within {self.max_px:.2g} px ({self.rms_px:.2g} px RMS)."
+        )
+
+
+class Told(NamedTuple):
+    """Cameras by name, how far those that are only near are known, and what is to be said of them."""
+
+    cameras: dict[str, CameraModel]
+    estimates: dict[str, CameraEstimate]
+    notes: tuple[str, ...]
+
+
+def told(found: Mapping[str, CameraModel | Nearest]) -> Told:
+    """Of cameras that a file holds."""
+    near = {name: one for name, one in found.items() if isinstance(one, Nearest)}
+    return Told(
+        {name: one.camera if isinstance(one, Nearest) else one for name, one in found.items()},
+        {name: CameraEstimate(max_angle_deg=one.upto_deg) for name, one in near.items()},
+        tuple(one.note(name) for name, one in near.items()),
+    )
 
 
 def nearest_camera(lens: Lens, starts: Sequence[CameraModel] = ()) -> Nearest:

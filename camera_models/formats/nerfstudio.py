@@ -2,6 +2,7 @@
 
     OPENCV             pinhole           fl_x fl_y cx cy k1 k2 p1 p2 k3
     OPENCV_FISHEYE     opencv-fisheye    fl_x fl_y cx cy k1 k2 k3 k4
+    FISHEYE624         fisheye624        fl_x fl_y cx cy and distortion_params: k0 ... k5 p0 p1 s0 s1 s2 s3
     EQUIRECTANGULAR    equirectangular   fl_x = w / 2, fl_y = h
 
 The upper left corner of the image is (0, 0) there. Frames hold the poses of photos; a calibration has none.
@@ -15,23 +16,29 @@ from typing import Any, ClassVar
 
 from camera_models._model import CameraModel
 from camera_models.errors import InputError
+from camera_models.fisheye624 import Fisheye624
 from camera_models.formats.calibration_data import Calibration
 from camera_models.formats.contract import DEFAULT_NAME, HAS_POSES, CalibrationFormat, Content, Documents
 from camera_models.formats.forms import Form
 from camera_models.formats.json_text import json_text, read_json
 from camera_models.formats.values import image_size as size_of
-from camera_models.formats.values import items, mapping, number, required, text
+from camera_models.formats.values import items, mapping, number, numbers, required, text
 from camera_models.wording import listed
 
 _K = ("fx", "fy", "cx", "cy")
 _KEYS = {"fx": "fl_x", "fy": "fl_y"}
-_PINHOLE, _FISHEYE, _PANORAMA = "OPENCV", "OPENCV_FISHEYE", "EQUIRECTANGULAR"
+_PINHOLE, _FISHEYE, _FISHEYE624, _PANORAMA = "OPENCV", "OPENCV_FISHEYE", "FISHEYE624", "EQUIRECTANGULAR"
 _OTHER_NAMES = {"PINHOLE": _PINHOLE, "SIMPLE_PINHOLE": _PINHOLE, "SIMPLE_RADIAL": _PINHOLE, "RADIAL": _PINHOLE}
 _CENTRE = 0.5
 """Of the first pixel, in Nerfstudio."""
-_NO_PLACE = {_PINHOLE: ("k4",), _FISHEYE: ("p1", "p2"), _PANORAMA: ()}
+_LIST = "distortion_params"
+_TERMS = Fisheye624.PARAMETER_NAMES[4:]
+_NO_PLACE = {_PINHOLE: ("k4",), _FISHEYE: ("p1", "p2"), _FISHEYE624: ("k1", "k2", "k3", "k4", "p1", "p2"), _PANORAMA: ()}
 """Terms that our model of a camera has not: they have to be 0."""
-_LENS = ("camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", "camera_angle_x", "is_fisheye")
+_LENS = (
+    *("camera_model", "w", "h", "fl_x", "fl_y", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2", _LIST),
+    *("camera_angle_x", "is_fisheye"),
+)
 FRAMES = "frames"
 
 
@@ -45,6 +52,7 @@ class Nerfstudio(CalibrationFormat):
     FORMS: ClassVar[tuple[Form, ...]] = (
         Form(_PINHOLE, "pinhole", (*_K, "k1", "k2", "p1", "p2", "k3")),
         Form(_FISHEYE, "opencv-fisheye", (*_K, "k1", "k2", "k3", "k4")),
+        Form(_FISHEYE624, "fisheye624", Fisheye624.PARAMETER_NAMES, on_request=True),
         Form(_PANORAMA, "equirectangular", ()),
     )
 
@@ -85,6 +93,11 @@ class Nerfstudio(CalibrationFormat):
         if form.name == _PANORAMA:
             return form.camera([], size, "the file")
         named = {key: number(lens.get(key, 0.0), key) for key in ("k1", "k2", "k3", "k4", "p1", "p2")}
+        if form.name == _FISHEYE624:
+            given_terms = numbers(required(lens, _LIST, "the file"), (len(_TERMS),), _LIST).tolist()
+            named = dict(zip(_TERMS, given_terms, strict=True))
+        elif _LIST in lens:
+            raise InputError(f"{_LIST} were expected of a camera {_FISHEYE624}, found those of {form.name}; give k1 and so on.")
         if "fl_x" not in lens and "camera_angle_x" in lens:
             across = number(lens["camera_angle_x"], "camera_angle_x")
             if not 0 < across < math.pi:
@@ -108,9 +121,10 @@ class Nerfstudio(CalibrationFormat):
         keys: dict[str, Any] = {"camera_model": form.name, "w": width, "h": height}
         if form.name == _PANORAMA:
             return keys | {"fl_x": width / 2, "fl_y": float(height), "cx": width / 2, "cy": height / 2}
-        for ours, value in zip(form.order or (), form.values(model), strict=True):
-            keys[_KEYS.get(ours, ours)] = value + (_CENTRE if ours in ("cx", "cy") else 0.0)
-        return keys
+        values = dict(zip(form.order or (), form.values(model), strict=True))
+        terms = [values.pop(term) for term in _TERMS] if form.name == _FISHEYE624 else []
+        keys |= {_KEYS.get(ours, ours): value + (_CENTRE if ours in ("cx", "cy") else 0.0) for ours, value in values.items()}
+        return keys | ({_LIST: terms} if terms else {})
 
 
 def _lens_of(keys: Mapping[str, Any]) -> dict[str, Any]:

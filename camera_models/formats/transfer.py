@@ -68,7 +68,8 @@ def transfer(
     allowed = _forms(target, target.forms_at(path, calibration), model)
     original, notes = _turned(calibration, allowed, "rig" in target.keeps(path, calibration))
     exact = {name: next((form for form in allowed if form.why_not(camera) is None), None) for name, camera in original.items()}
-    conversions = _nearest(original, [name for name in original if exact[name] is None], allowed, target, fov_deg)
+    fitting = [form for form in allowed if model is not None or not form.on_request]
+    conversions = _nearest(original, [name for name in original if exact[name] is None], fitting, target, fov_deg)
     cameras = {name: conversions[name].model if name in conversions else camera for name, camera in original.items()}
     estimates = {
         name: _of_other_model(estimate, cameras[name]) if name in conversions else estimate

@@ -24,8 +24,9 @@ class CalibrationOptions(CalibrationThresholds):
     degree: int | None = None
     """Of the polynomial of a scaramuzza camera; without it that is chosen by held-out views."""
     coefficients: int | None = None
-    """Of the distortion of a pinhole camera: 0, 5 or 8; without it 5, of which those that the views do not support are held.
-    From lines 5, or 8 where that predicts held-out photos better than chance makes it."""
+    """Of the distortion: of a pinhole camera 0, 5 or 8 (without it 5), of a fisheye624 6, 8 or 12 (without it 8); those that the
+    views do not support are held. From lines the fewest, or more where that predicts held-out photos better than chance makes it.
+    """
     loss: str = "cauchy"
     """Plain least squares of every corner ("none"), or the loss by which those that do not fit are found ("huber", "cauchy")."""
     mirror: bool = False
@@ -55,8 +56,6 @@ class CalibrationOptions(CalibrationThresholds):
         require_refinable(self.refine_board)
         if self.degree is not None and self.degree < 2:
             raise InputError(f"`degree` was expected to be at least 2, found {self.degree}; leave it out to have it chosen.")
-        if self.coefficients not in (None, 0, 5, 8):
-            raise InputError(f"`coefficients` was expected to be 0, 5 or 8, found {self.coefficients}; choose one of these.")
 
     @property
     def of_model(self) -> dict[str, int]:
@@ -71,6 +70,11 @@ class CalibrationOptions(CalibrationThresholds):
             if name not in known:
                 found = ", ".join(dict.fromkeys(models)) or "cameras that are known"
                 raise InputError(f"`{name}` was expected with a `model` that has it, found {found}; leave it out.")
+        for model in models:
+            choices = () if model == AUTO else model_class(model).COEFFICIENTS
+            if choices and self.coefficients not in (None, *choices):
+                wanted = f"{', '.join(map(str, choices[:-1]))} or {choices[-1]}"
+                raise InputError(f"`coefficients` of {model} was expected to be {wanted}, found {self.coefficients}; choose one.")
 
 
 class CalibrationFields(TypedDict, total=False):

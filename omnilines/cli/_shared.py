@@ -43,7 +43,7 @@ Photos = Annotated[
     list[Path], typer.Argument(help="Photos, folders of them, a video, a bag (BAG:/topic), or corners.csv.", show_default=False)
 ]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to.", show_default=False)]
-LENS_MODELS = "pinhole, opencv-fisheye, scaramuzza, unified, extended-unified or double-sphere"
+LENS_MODELS = "pinhole, opencv-fisheye, fisheye624, scaramuzza, unified, extended-unified or double-sphere"
 """Those with parameters."""
 PatternSpec = Annotated[str, typer.Option("--pattern", help="Target, such as checkerboard:8x6:32.5mm (inner corners, square).")]
 Model = Annotated[

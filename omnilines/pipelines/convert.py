@@ -28,7 +28,7 @@ FIGURES = ("rms_px", "max_px", "rms_deg", "max_deg", "fov_deg")
 IN_MEMORY = "in memory"
 LARGE_PX = 1.0
 """RMS error of a conversion that is more than calibrations are off by, where it is not known how well one fits."""
-TANGENTIAL = ("p1", "p2")
+TANGENTIAL = ("p0", "p1", "p2", "s0", "s1", "s2", "s3")
 """Parameters of a lens that is not round, which purely radial models have no place for."""
 
 

@@ -41,7 +41,7 @@ def kernel_log(folder: Path) -> None:
 
 def cases() -> Iterator[Case]:
     """All of them."""
-    for model in ("opencv-fisheye", "scaramuzza", "unified", "pinhole", "double-sphere"):
+    for model in ("opencv-fisheye", "fisheye624", "scaramuzza", "unified", "pinhole", "double-sphere"):
         command = tuple(model if word == "opencv-fisheye" else word for word in CORNERS)
         yield Case(f"corners:scattered-{model}", command, changed("corners", scattered), "[Cc]orners|angles")
     for kind in ("segments", "poses", "corners"):
