@@ -7,6 +7,9 @@
 
 Project Aria documentation, "Camera intrinsic models". Valid up to the first angle at which r stops growing, or at which T may
 fold, at most pi.
+
+A calibration estimates k0 to k3 and p unless more is asked for: to second order in theta s0 = -3 p0 and s2 = -3 p1 are a turn of
+the camera with a shift of its centre, so that with s too the axis, and where cameras of a rig look, are hardly known.
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,7 +37,7 @@ class Fisheye624(CameraModel):
 
     NAME = "fisheye624"
     COEFFICIENTS = tuple(_MORE)
-    VARIANTS = tuple({"coefficients": count} for count in _MORE)
+    VARIANTS = ({"coefficients": 6},)
     OPTIONAL_TERMS = (("k0",), ("k1",), ("p0", "p1"), ("k2",), ("k3",), ("s0", "s2"), ("k4", "k5", "s1", "s3"))
     PARAMETER_NAMES = (
         *("fx", "fy", "cx", "cy"), *("k0", "k1", "k2", "k3", "k4", "k5"), *("p0", "p1"), *("s0", "s1", "s2", "s3"),
@@ -71,7 +74,7 @@ class Fisheye624(CameraModel):
         image_size: tuple[int, int],
         mirror: bool = False,
         *,
-        coefficients: int = 8,
+        coefficients: int = 6,
         **options: Any,
     ) -> "Fisheye624":
         """Least squares for f and f k_i, of as high a degree as keeps the curve growing over the samples."""

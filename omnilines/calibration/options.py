@@ -24,7 +24,7 @@ class CalibrationOptions(CalibrationThresholds):
     degree: int | None = None
     """Of the polynomial of a scaramuzza camera; without it that is chosen by held-out views."""
     coefficients: int | None = None
-    """Of the distortion: of a pinhole camera 0, 5 or 8 (without it 5), of a fisheye624 6, 8 or 12 (without it 8); those that the
+    """Of the distortion: of a pinhole camera 0, 5 or 8 (without it 5), of a fisheye624 6, 8 or 12 (without it 6); those that the
     views do not support are held. From lines the fewest, or more where that predicts held-out photos better than chance makes it.
     """
     loss: str = "cauchy"

@@ -5,7 +5,7 @@ corners and views are good: what it rejects most models cannot fit, and what onl
 these common corners every model is fitted again by plain least squares, and judged by its held-out error: what remains of a view
 by the camera of all other views (`held_out`). Of the models that are as good as the best (within one standard error and half a
 percent) the one with the fewest parameters is taken. A model whose curve folds back before it has passed the data by a tenth is
-not taken.
+not taken, unless those that do not fold back predict views worse by a tenth: they do not follow the lens then.
 """
 
 import math
@@ -70,6 +70,9 @@ class Trial:
     fit: RobustFit | None = None
     """Fitted to the common corners; the poses are of all usable views."""
     monotone: bool = True
+    """Whether its curve grows on for a while beyond the data."""
+    holds: bool = True
+    """Whether it grows up to the end of the data."""
     in_sample_px: float = float("nan")
     error: HeldOut | None = None
 
@@ -207,6 +210,7 @@ def _trial(
         failure=None,
         fit=RobustFit(state, common.rows, judge.scale_px, judge.limit_px),
         monotone=grows_beyond(model, common.points.pixels, thresholds.held_out.beyond_factor),
+        holds=grows_beyond(model, common.points.pixels, 1.0),
         in_sample_px=(solution.cost / len(common.points.view)) ** 0.5,
         error=held_out(problem, solution.state),
     )
@@ -227,20 +231,22 @@ def _nearer_poses(fit: RobustFit, judge: RobustFit, usable: UsableCorners) -> Po
 
 def _choose(trials: Sequence[Trial], views: int, thresholds: HeldOutThresholds) -> tuple[Trial, str]:
     sound = [(trial, trial.error) for trial in trials if trial.error is not None]
-    growing = [(trial, error) for trial, error in sound if trial.monotone] or sound
-    best, least = min(growing, key=lambda pair: pair[1].rms_px)
+    compared, growing = _compared(sound, thresholds.folding_factor)
+    best, least = min(compared, key=lambda pair: pair[1].rms_px)
     if math.isinf(least.rms_px):
         raise GeometryError(
             f"Views of which one can be left out were expected to compare models, found {views} that leave every model open "
             "without one of them; add photos of the board at other angles, or name a model."
         )
-    tied = [trial for trial, error in growing if error.as_good_as(least, thresholds.no_worse_factor)]
+    tied = [trial for trial, error in compared if error.as_good_as(least, thresholds.no_worse_factor)]
     chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
     figures = f"{chosen.held_out_px:.3f} px per point ({views} views, each held out in turn)"
-    folding = [(trial, error.rms_px) for trial, error in sound if not trial.monotone]
-    nearer_px = {trial.candidate.label: px for trial, px in folding if px < least.rms_px}
+    left_out = [(trial, error.rms_px) for trial, error in sound if (trial, error) not in compared]
+    nearer_px = {trial.candidate.label: px for trial, px in left_out if px < least.rms_px}
+    folds_within = any(not trial.monotone for trial, _ in compared)
     if chosen is best:
-        of_which = " of the models that do not fold back" if nearer_px else ""
+        which = "hold the data" if folds_within else "do not fold back"
+        of_which = f" of the models that {which}" if nearer_px else ""
         reason = f"{chosen.candidate.label} was taken: it has the least error of held-out views{of_which}, {figures}"
     else:
         reason = (
@@ -248,9 +254,30 @@ def _choose(trials: Sequence[Trial], views: int, thresholds: HeldOutThresholds) 
             f"({best.candidate.label}, {best.held_out_px:.3f} px) and has {chosen.parameters} parameters instead of "
             f"{best.parameters}"
         )
-    if folding:
-        reason += f"; {', '.join(trial.candidate.label for trial, _ in folding)} would fold back just beyond the data"
+    if not chosen.monotone and growing:
+        other, error = min(growing, key=lambda pair: pair[1].rms_px)
+        reason += (
+            f"; it folds back just beyond the data and holds up to there, where the best that does not fold back "
+            f"({other.candidate.label}, {error.rms_px:.3f} px) does not follow the lens"
+        )
+    if left_out:
+        where = "within" if folds_within else "just beyond"
+        reason += f"; {', '.join(trial.candidate.label for trial, _ in left_out)} would fold back {where} the data"
     if nearer_px:
         nearest = min(nearer_px, key=lambda label: nearer_px[label])
         reason += f", up to where {nearest} predicts views better ({nearer_px[nearest]:.3f} px)"
     return chosen, reason + "."
+
+
+Judged = list[tuple[Trial, HeldOut]]
+
+
+def _compared(sound: Judged, folding_factor: float) -> tuple[Judged, Judged]:
+    """The trials of which one is taken, and those that do not fold back just beyond the data: these alone, or all that hold the
+    data, where none of these predicts views nearly as well."""
+    growing = [pair for pair in sound if pair[0].monotone]
+    holding = [pair for pair in sound if pair[0].monotone or pair[0].holds]
+    if not growing:
+        return holding or sound, growing
+    least, least_holding = (min(error.rms_px for _, error in pairs) for pairs in (growing, holding))
+    return (holding if least > folding_factor * least_holding else growing), growing

@@ -117,7 +117,8 @@ class HeldOutThresholds(NamedTuple):
     """A held-out error greater than the least by this factor will not fall again with fewer coefficients."""
     beyond_factor: float = 1.1
     """The curve of a model must grow up to this many times the radius of the outermost corner."""
-
+    folding_factor: float = 1.1
+    """A model whose curve ends before that is taken where the held-out error of others is greater by this factor."""
     significance: float = 0.01
     """From lines a larger variant of a model is taken where chance makes so great a gain more seldom."""
 

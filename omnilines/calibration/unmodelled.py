@@ -58,7 +58,7 @@ REMEDIES: dict[Kind, str] = {
     "pupil": "Hold the board farther away, about where the camera will look: no camera model here holds that, and it fades with "
     "the distance.",
     "decentering": "Compare with `--model fisheye624`, which has terms for it (so have unified and, below 100 degrees, pinhole); "
-    "`auto` compares all, but leaves out a model that folds back just beyond the corners.",
+    "`auto` compares all.",
 }
 
 
