@@ -21,7 +21,7 @@ from omnilines.pipelines.kept_lines import KeptLines
 from omnilines.pipelines.lines import lines_of_arcs
 from omnilines.pipelines.options import KeptLineOptions, SceneOptions
 from omnilines.pipelines.photo_arcs import FoundArcs
-from omnilines.pipelines.still_camera import rig_that_stood_still
+from omnilines.posing.still_rig import rig_that_stood_still
 from omnilines.progress import silent
 from omnilines.records import ImagePoses
 
@@ -149,8 +149,9 @@ def test_arcs_that_stay_where_they_are_go_along_with_a_camera_that_photos_place(
 
 @pytest.mark.parametrize(("walked_m", "stood"), [(0.001, True), (0.5, False)])
 def test_a_rig_that_stood_still_while_a_board_moved_is_told(walked_m: float, stood: bool) -> None:
-    """It was called a vehicle that the camera sees."""
+    """It was called a vehicle that the camera sees, and photos between its instants were asked for."""
     found, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines", "poses"))
+    options = replace(options, advice=options.advice._replace(few_explained=1.1))
     count = len(found.scene.poses) // 2
     names = found.scene.poses.images[: 2 * count]
     place = torch.zeros(2 * count, 3, dtype=torch.float64)
@@ -160,12 +161,29 @@ def test_a_rig_that_stood_still_while_a_board_moved_is_told(walked_m: float, sto
         names, Pose(Pose.identity(2 * count).rotation, place), ("left", "right") * count, None,
         tuple(str(k // 2) for k in range(2 * count)),
     )  # fmt: skip
-    told = rig_that_stood_still(poses, options.advice.rig_still)
+    told = rig_that_stood_still(poses, options.posing.carried.rig_still)
     assert (told is not None) == stood
+    said = advice(replace(found, scene=replace(found.scene, poses=poses)), 0.5, "sfm", (), options, silent)
+    assert any("hotos between" in one.do for one in said) != stood
     if told is not None:
-        assert told[0] <= walked_m * count and told[1] == pytest.approx(0.1)
-        kept = replace(found, scene=replace(found.scene, poses=poses))
-        assert advice(kept, 0.5, "sfm", (), options, silent)[0].limit.startswith("The rig stood still: half of its instants are")
+        assert told.off <= walked_m * count and told.apart == pytest.approx(0.1) and not told.elsewhere
+        assert len(said) == 1 and said[0].limit.startswith("The rig stood still: half of its instants are")
+
+
+def test_an_instant_that_a_moving_board_has_taken_along_is_named() -> None:
+    """In `charuco_video` one of four, by 36 cm and 15 degrees, in silence."""
+    found, options = lines_found(LIMITS.max_chance_share, clutter=0), SceneOptions(refine=("lines", "poses"))
+    place = torch.zeros(12, 3, dtype=torch.float64)
+    place[:, 0] = 0.5 * torch.arange(12).remainder(3)
+    place[9:, 1] = 0.36
+    poses = ImagePoses(
+        tuple(f"{k}.png" for k in range(12)), Pose(Pose.identity(12).rotation, place), ("left", "middle", "right") * 4, None,
+        tuple(str(k // 3) for k in range(12)),
+    )  # fmt: skip
+    kept = replace(found, scene=replace(found.scene, poses=poses))
+    rig, instant = advice(kept, 0.0, "sfm", (), options, silent)
+    assert "give its photos alone, with `poses` rig" in rig.do
+    assert instant.limit.startswith("The instant 3 is put elsewhere") and instant.do.startswith("Leave its photos out")
 
 
 def test_a_room_without_clutter_keeps_all_lines() -> None:

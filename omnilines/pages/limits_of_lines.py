@@ -44,7 +44,9 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
                     "the limit.", "Check that poses and calibration are of these photos.")
              for check in scene.checks if not check.holds]  # fmt: skip
     of_photos = scene.from_photos
-    found += _skipped(of_photos.skipped, of_photos.given) if of_photos is not None else ()
+    # Of a rig that stood still, those that are skipped show what others do from the same place: none is to be taken again.
+    if of_photos is not None and not of_photos.rig_stood_still:
+        found += _skipped(of_photos.skipped, of_photos.given)
     found += [*_contradicted(scene), *_supposed(scene), *scene.advice, *_other_lines(scene)]
     noise, refined = scene.adjusted.adjusted.noise, "poses" in scene.options.refine
     # Of matched segments, advice names photos at fault: until they are put right, residuals say nothing of the calibration.

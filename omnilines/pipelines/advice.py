@@ -18,7 +18,7 @@ from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.frame import SFM
 from omnilines.pipelines.kept_lines import KeptLines, shared_lines, shown_at, shown_lines, weakest_link
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
-from omnilines.pipelines.still_camera import rig_that_stood_still
+from omnilines.posing.still_rig import StillRig, rig_that_stood_still
 from omnilines.progress import ProgressCallback
 from omnilines.records import Advice, ImagePoses, PhotoCount
 
@@ -61,8 +61,10 @@ def advice(
     stays = still > options.advice.still
     if stays and source != SFM:
         return (*_still(still), *_by_chance(scene, options.advice))
-    rig = rig_that_stood_still(scene.scene.poses, options.advice.rig_still) if source == SFM else None
-    carried = _rig_stood_still(*rig, scene.scene.lines.unit.sign) if rig else _carried_along(still) if stays else ()
+    if rig := still_rig(scene.scene.poses, source, options):
+        # Other photos of it would be of the same places.
+        return (*_rig_stood_still(rig, scene.scene.lines.unit.sign), *_by_chance(scene, options.advice))
+    carried = _carried_along(still) if stays else ()
     if not scene.matched.beyond_chance:
         # What agrees by chance tells nothing of single photos.
         return carried
@@ -77,6 +79,11 @@ def advice(
     )
 
 
+def still_rig(poses: ImagePoses, source: str, options: SceneOptions) -> StillRig | None:
+    """The rig that stood still while the photos were taken that its poses come from."""
+    return rig_that_stood_still(poses, options.posing.carried.rig_still) if source == SFM else None
+
+
 def _still(share: float) -> tuple[Advice, ...]:
     """A camera that stood still, while a board was moved."""
     told = (
@@ -86,15 +93,23 @@ def _still(share: float) -> tuple[Advice, ...]:
     return (Advice(told, "Only what was moved is rebuilt. Leave the board where it is, and move the camera."),)
 
 
-def _rig_stood_still(off: float, apart: float, sign: str) -> tuple[Advice, ...]:
+def _rig_stood_still(rig: StillRig, sign: str) -> tuple[Advice, ...]:
     """A rig of which all instants show the same from the same places."""
     told = (
-        f"The rig stood still: half of its instants are at one place, to {rounded(100 * off / apart)} percent of the "
-        f"{rounded(apart)} {sign} between its cameras. What moved is not rebuilt, and the rest is seen from the places of its "
-        "cameras alone."
+        f"The rig stood still: half of its instants are at one place, to {rounded(100 * rig.off / rig.apart)} percent of the "
+        f"{rounded(rig.apart)} {sign} between its cameras. What moved is not rebuilt, and the rest is seen from the places of "
+        "its cameras alone."
     )
-    do = "Move the rig between instants, by more than its cameras are apart; for a board that was moved, give `poses` boards."
-    return (Advice(told, do),)
+    do = "Move the rig between instants, by more than its cameras are apart; for a board that was moved, give `poses` boards"
+    do += "; of what stood still one instant tells as much: give its photos alone, with `poses` rig." if rig.cameras > 2 else "."
+    found = [Advice(told, do)]
+    if rig.elsewhere:
+        one = len(rig.elsewhere) == 1
+        where = f"The instant{'' if one else 's'} {_named(rig.elsewhere)} {'is' if one else 'are'} put elsewhere"
+        why = f"what moved before the cameras, such as a board, has taken {'its pose' if one else 'their poses'} along"
+        do = f"Leave {'its' if one else 'their'} photos out, unless the rig was moved."
+        found.append(Advice(f"{where}: where the rig was not moved, {why}, and the lines that only these show are wrong.", do))
+    return tuple(found)
 
 
 def _carried_along(share: float) -> tuple[Advice, ...]:

@@ -108,9 +108,6 @@ class AdviceOptions(NamedTuple):
     (OpenCV's LSD places edges so far to the left and up)."""
     start_rad: float = math.radians(2.5)
     """Turns about each axis from which a better pose is looked for."""
-    rig_still: float = 0.2
-    """Share of the distance between the cameras of a rig within which half of its instants lie where it is said to have stood
-    still."""
     still: float = 0.3
     """Share of the arcs in no line that do not move in the image, while the lines do, above which the camera is said to have
     stood still (0.4 in two real sets where it did, up to 0.2 in others)."""

@@ -23,7 +23,7 @@ from omnilines.least_squares.devices import usable_device
 from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.options import require_ranges_of_parts
 from omnilines.pipelines.adjust import adjust, check_prior
-from omnilines.pipelines.advice import advice, weak_photos
+from omnilines.pipelines.advice import advice, still_rig, weak_photos
 from omnilines.pipelines.arcs import calibration_of
 from omnilines.pipelines.asked_cameras import asked_cameras
 from omnilines.pipelines.assumed_errors import require_error, with_assumed_errors
@@ -263,6 +263,7 @@ def _scene(
     of_photos = FromPhotos(
         folder, len(arcs.photos), arcs.skipped, found.stages, found.photos, found.tolerance_px, found.matched.bow_share,
         frame.families, math.nan if posed.source == SFM else still,
+        still_rig(poses, posed.source, options) is not None,
     )  # fmt: skip
     unused = (*arcs.skipped_details, *lost)
     return Scene(

@@ -51,6 +51,8 @@ class FromPhotos:
     still_share: float
     """Share of the arcs in no line that do not move in the image, while the lines do; NaN where that cannot be told, and where
     poses are found from all that photos show."""
+    rig_stood_still: bool
+    """Whether the instants of a rig, whose poses are found so, are at one place."""
 
 
 @dataclass(frozen=True)
@@ -119,8 +121,9 @@ class Scene:
 
     @property
     def camera_stood_still(self) -> bool:
-        """Whether the camera stood still, while a board was moved that its poses come from."""
-        return self.from_photos is not None and self.from_photos.still_share > self.options.advice.still
+        """Whether the camera stood still while a board was moved that its poses come from, or the rig while photos were taken."""
+        of_photos = self.from_photos
+        return of_photos is not None and (of_photos.rig_stood_still or of_photos.still_share > self.options.advice.still)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float
 from camera_models.pose import rotation_from_vector
 from omnilines.matching.arcs import ViewedArcs
 from omnilines.pipelines.kept_lines import KeptLines
-from omnilines.records import ImagePoses
 
 PAIRS, ARCS = 8, 100
 """Of photos that are compared, and of arcs of each, at most."""
@@ -17,22 +16,6 @@ MOVED = 10.0
 """So many times farther the lines have to move."""
 TURN_RAD = 0.1
 """By which arcs are turned to see how many lie near others by chance."""
-
-
-def rig_that_stood_still(poses: ImagePoses, most_share: float) -> tuple[float, float] | None:
-    """How far half of the instants of a rig are from their middle at most, and how far apart its cameras are, where the former is
-    less than this share of the latter: lines are seen from the places of one instant then. None elsewhere."""
-    centres, frames = poses.cam_from_world.centre.numpy(), np.array(poses.frames or ())
-    cameras = np.array(poses.cameras or ())
-    if not len(frames) or not len(cameras):
-        return None
-    names, count = np.unique(cameras, return_counts=True)
-    own = centres[cameras == names[count.argmax()]]
-    apart = max(
-        float(np.linalg.norm(at[:, None] - at, axis=-1).max()) for at in (centres[frames == one] for one in np.unique(frames))
-    )
-    off = float(np.median(np.linalg.norm(own - np.median(own, axis=0), axis=-1)))
-    return (off, apart) if len(own) > 2 and off < most_share * apart else None
 
 
 def still_share(scene: KeptLines) -> float:

@@ -187,6 +187,9 @@ class CarriedOptions(NamedTuple):
     """Angle that two photos are turned by from which on a feature of the world cannot be at one bearing in both."""
     least_share: float = 0.05
     """Of the matches of such photos at one bearing, from which on that is said."""
+    rig_still: float = 0.2
+    """Share of the distance between the cameras of a rig within which half of its instants lie where it is said to have stood
+    still: what they all show at one bearing is the world then."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -27,6 +27,7 @@ from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames
+from omnilines.posing.still_rig import rig_that_stood_still
 from omnilines.progress import ProgressCallback, on_all_cores, one_torch_thread, silent
 from omnilines.records import ImagePoses
 
@@ -88,7 +89,8 @@ def sfm_poses(
         start = start_from(Frames(torch.tensor(frame), rig), parts[0])
         grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
     found = _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
-    if not told:
+    # A rig that stood still sees the world at one bearing, also at an instant that something moving has taken along.
+    if not told and rig_that_stood_still(found.poses, options.carried.rig_still) is None:
         poses = {photos.index(name): found.poses.cam_from_world[k] for k, name in enumerate(found.poses.images)}
         share = carried_share(features, matches.clear, given.camera, poses, options)
         told = (GOES_ALONG.format(share),) if share >= options.carried.least_share else ()
