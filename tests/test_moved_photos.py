@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from test_calibration_errors import CAMERA, world
 
+import omnilines as ol
 from camera_models.pose import Pose
 from omnilines.pipelines.moved_photos import photos_far_from_given
-from omnilines.pipelines.options import MovedOptions
+from omnilines.pipelines.options import OF_TABLES, MovedOptions
 from omnilines.records import Advice, ImagePoses, LengthUnit, PhotoCount
 
 COUNT = 12
@@ -107,3 +109,21 @@ def test_the_photos_of_an_instant_are_one() -> None:
     ((advice,), photos) = photos_far_from_given(both(stated), both(poses), {}, LengthUnit.METRES, MovedOptions())
     assert photos == {"left/4.png"} and "slipped" not in advice.limit
     assert not photos_far_from_given(replace(both(poses), frames=None), both(poses), {}, LengthUnit.METRES, MovedOptions())[0]
+
+
+def test_an_adjustment_of_segments_names_photos_that_it_moved_far() -> None:
+    """Only lines from photos did: `adjust` and `reconstruct --segments` said nothing of a pose that was 40 cm off."""
+    segments, poses, _ = world()
+    noise = np.random.default_rng(0).normal(0.0, 0.05, segments.endpoints_px.shape)
+    segments = replace(segments, endpoints_px=segments.endpoints_px + noise)
+    shifts = np.random.default_rng(1).normal(size=(len(poses), 6)) * np.repeat([0.001, 0.005], 3)
+    options = replace(OF_TABLES, refine=("lines", "poses"))
+
+    def said() -> list[str]:
+        given = replace(poses, cam_from_world=Pose.exp(torch.as_tensor(shifts)) @ poses.cam_from_world)
+        return [one.limit for one in ol.adjust(segments, given, CAMERA, options).advice]
+
+    assert not said()
+    shifts[4, 3] += 0.4
+    (limit,) = said()
+    assert limit.startswith("Refined poses lie far from those given: 4.png 0.4")

@@ -3,6 +3,7 @@
 import itertools
 import math
 import re
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -155,7 +156,12 @@ def test_distortion_that_corners_do_not_support_is_held_in_every_camera():
 def test_models_that_were_chosen_are_named_with_why():
     rig = pair(8)
     corners, size = rig.noisy(NOISE_PX, 0), {name: model.image_size for name, model in zip(rig.names, rig.models, strict=True)}
-    found = ol.calibrate_rig(corners, size, models={"cam0": "auto", "cam1": "opencv-fisheye"})
+    stages = Counter[str]()
+    found = ol.calibrate_rig(
+        corners, size, models={"cam0": "auto", "cam1": "opencv-fisheye"}, progress=lambda stage, *_: stages.update([stage])
+    )
+    # Twelve models were fitted in silence, and what follows the fit was called the fit.
+    assert stages["calibrating cam0 alone"] > 5 * stages["calibrating cam1 alone"] > 0 and stages["judging the rig"]
     (note,) = (note for note in found.notes if "was taken" in note)
     model = found.cameras["cam0"].NAME
     assert note.startswith(f"Camera cam0: {model}") and "error of held-out views" in note
@@ -163,6 +169,9 @@ def test_models_that_were_chosen_are_named_with_why():
     setup = RigSetup(ol.CalibrationOptions("auto"), {}, "fixed", {}, False).as_chosen(found.fit, size)
     assert {name: one.model for name, one in setup.cameras(size).items()} == {"cam0": model, "cam1": "opencv-fisheye"}
     assert setup.cameras(size)["cam0"].chosen in note and setup.cameras(size)["cam1"].chosen == ""
+    # A camera of which more corners were found is asked again.
+    again = RigSetup(ol.CalibrationOptions("auto"), {}, "fixed", {}, False).as_chosen(found.fit, ["cam1"])
+    assert {name: one.model for name, one in again.cameras(size).items()} == {"cam0": "auto", "cam1": "opencv-fisheye"}
 
 
 def test_exact_corners_give_the_exact_rig():

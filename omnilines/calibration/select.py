@@ -31,6 +31,7 @@ from omnilines.calibration.start import CameraKind
 from omnilines.calibration.thresholds import CalibrationThresholds, HeldOutThresholds
 from omnilines.calibration.variants import CommonCorners
 from omnilines.calibration.views import UsableCorners
+from omnilines.least_squares import Progress
 from omnilines.progress import one_torch_thread
 from omnilines.records import Corners
 
@@ -118,16 +119,19 @@ def select_model(
     candidates: Sequence[Candidate] | None = None,
     thresholds: CalibrationThresholds = CalibrationThresholds(),
     each: Each = _here,
+    callback: Callable[[Progress], None] | None = None,
 ) -> Selection:
     """Fit all candidates and take one, as the module's header says.
 
-    `each` fits and judges them, one candidate an item. Raises InputError for too few views to compare models by, and the first
-    failure where no candidate can be fitted.
+    `each` fits and judges them, one candidate an item; `callback`, which is not for another process, is told of each step.
+    Raises InputError for too few views to compare models by, and the first failure where no candidate can be fitted.
     """
     candidates = all_candidates() if candidates is None else tuple(candidates)
     labels = [candidate.label for candidate in candidates]
     usable = UsableCorners.of(corners, thresholds.views)
-    fit_one = partial(_fit, usable=usable, image_size=image_size, mirror=mirror, loss=loss, thresholds=thresholds)
+    fit_one = partial(
+        _fit, usable=usable, image_size=image_size, mirror=mirror, loss=loss, thresholds=thresholds, callback=callback
+    )
     fits = each(fit_one, candidates, labels)
     found = [fit for fit in fits if isinstance(fit, RobustFit)]
     if not found:
@@ -142,7 +146,7 @@ def select_model(
             f"At least {thresholds.held_out.least_views} usable views were expected to choose a camera model by held-out views, "
             f"found {len(common.views)}; add photos or name a `model`."
         )
-    judged = partial(_trial, judge=judge, usable=usable, common=common, thresholds=thresholds)
+    judged = partial(_trial, judge=judge, usable=usable, common=common, thresholds=thresholds, callback=callback)
     trials = each(judged, list(zip(candidates, fits, strict=True)), labels)
     while True:
         chosen, reason = _choose(trials, len(common.views), thresholds.held_out)
@@ -175,11 +179,12 @@ def _fit(
     mirror: bool,
     loss: str,
     thresholds: CalibrationThresholds,
+    callback: Callable[[Progress], None] | None,
 ) -> RobustFit | GeometryError | InputError:
     """One candidate fitted robustly to all corners, or why it cannot be."""
     try:
         kind = CameraKind(image_size, candidate.model, mirror, candidate.options)
-        return robust_camera(usable.points, usable.weight, kind, loss, thresholds, stated_px=usable.stated_px)
+        return robust_camera(usable.points, usable.weight, kind, loss, thresholds, stated_px=usable.stated_px, callback=callback)
     except (GeometryError, InputError) as error:
         return error
 
@@ -190,6 +195,7 @@ def _trial(
     usable: UsableCorners,
     common: CommonCorners,
     thresholds: CalibrationThresholds,
+    callback: Callable[[Progress], None] | None,
 ) -> Trial:
     """One candidate fitted to the common corners, without a loss."""
     candidate, fit = fitted
@@ -198,7 +204,7 @@ def _trial(
     poses = _nearer_poses(fit, judge, usable)
     start = CameraAndBoards(fit.state.model, poses[common.views])
     whole = BoardProblem(common.points, start.model.calibration_basis(), common.weight, start.shape)
-    solution = refine_with_rivals(whole, start, thresholds.noise.tied_variances, None)[0]
+    solution = refine_with_rivals(whole, start, thresholds.noise.tied_variances, callback)[0]
     model = solution.state.model
     problem = BoardProblem(common.points, model.calibration_basis(), common.weight)
     rotation, translation = poses.rotation.clone(), poses.translation.clone()

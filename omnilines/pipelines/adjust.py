@@ -34,6 +34,7 @@ from omnilines.pipelines.far_photos import far_photos
 from omnilines.pipelines.frame_notes import frame_notes, unplaced_notes
 from omnilines.pipelines.inside import require_inside
 from omnilines.pipelines.judged_tracks import Misfit, judge_tracks, limits_px
+from omnilines.pipelines.moved_photos import photos_far_from_given
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.part_workers import check_partition, part_workers
 from omnilines.pipelines.scene import Scene, refined_calibration
@@ -103,10 +104,13 @@ def adjust(
     told += (*unplaced_notes(scene), *frame_notes(scene, known, options), *size_notes(scene.lines, scene.poses, options.judge))
     made_from = {"options": options} if inputs is None else inputs
     checks = _checks(scene, misfit, limits_px(scene.table.arcs, list(cameras.values()), options.judge)[1])
-    strange = far_photos(scene, table.cam_from_world, options.judge, refined="poses" in options.refine, seed=options.seed)
+    refined, holds = "poses" in options.refine, all(check.holds for check in checks)
+    strange = far_photos(scene, table.cam_from_world, options.judge, refined=refined, seed=options.seed)
+    # An adjustment that went astray tells nothing of the poses that it began from.
+    moves = photos_far_from_given(table, scene.poses, {}, unit, options.moved)[0] if refined and holds else ()
     asked: tuple[AskedCamera, ...] = ()
     # Photos and poses that are wrong ask anything of a camera.
-    if not strange and all(check.holds for check in checks):
+    if not strange and holds:
         progress("asking lines for the calibration", 0, 0)
         asked = asked_cameras(scene.lines, *_fitting(scene), scene.poses, cameras, options)
     return Scene(
@@ -117,7 +121,7 @@ def adjust(
         told,
         options=options,
         checks=checks,
-        advice=strange,
+        advice=(*strange, *moves),
         asked=asked,
         supposed=supposed,
         up=up or Z_UP,

@@ -1,6 +1,7 @@
 """Corners of a target by several cameras -> the calibrated rig, which in photos leads to corners that were missed."""
 
 import io
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -69,10 +70,11 @@ class RigSetup:
         return self.models.get(camera, self.models.get("", self.options.model))
 
     def as_chosen(self, result: RigCalibration, cameras: Iterable[str]) -> "RigSetup":
-        """With the models that were chosen for the cameras of which none was named."""
+        """With the models that were chosen for these cameras, where none was named."""
         chosen = {one.name: one.model.NAME for one in result.members if self.model_of(one.name) == AUTO}
-        models = {name: chosen.get(name, self.model_of(name)) for name in cameras if name not in self.start}
-        return replace(self, models=models, chosen={one.name: one.chosen for one in result.members})
+        models = {name: chosen[name] for name in cameras if name in chosen and name not in self.start}
+        reasons = {one.name: one.chosen for one in result.members if one.name in models}
+        return replace(self, models={**self.models, **models}, chosen=reasons)
 
     def axis_sign_open(self, camera: str) -> bool:
         """Whether the camera may turn out to look to either side."""
@@ -289,7 +291,8 @@ def calibrate_rig(
     again = searched_with_rig(found, result, executor, progress)
     if again is not None:
         # The same corners, a little nearer to where they are, choose no other model.
-        setup_again = setup if len(again.corners) > len(found.corners) else setup.as_chosen(result, found.image_sizes)
+        before, now = (_corners_of_cameras(one.corners) for one in (found, again))
+        setup_again = setup.as_chosen(result, [name for name in found.image_sizes if now[name] <= before[name]])
         found, result = again, _fitted(again, setup_again, progress)
     remarks = found.remarks
     views = tuple(
@@ -299,6 +302,12 @@ def calibrate_rig(
     left_out = {**result.left_out, **found.blind}
     result = replace(result, views=views + found.skipped, notes=found.notes + result.notes, left_out=left_out)
     return RigResult(result, found, rig_record(result, found.inputs), setup.options.shooting)
+
+
+def _corners_of_cameras(corners: Corners) -> Counter[str]:
+    """How many corners each camera has."""
+    cameras = np.array(corners.cameras or ())
+    return Counter(cameras[corners.view].tolist())
 
 
 def _fitted(found: RigCorners, setup: RigSetup, progress: ProgressCallback) -> RigCalibration:

@@ -97,7 +97,9 @@ def alone_camera(
     stated_px = stated_rms_px(corners, rows)
     chosen = setup.chosen
     if setup.start is None and setup.model == AUTO:
-        selection = select_model(corners, setup.image_size, loss=loss, mirror=setup.mirror, thresholds=thresholds)
+        selection = select_model(
+            corners, setup.image_size, loss=loss, mirror=setup.mirror, thresholds=thresholds, callback=callback
+        )
         fit = _begun(points, weight, selection.result.model, loss, thresholds, stated_px=stated_px)
         chosen = selection.reason
     else:

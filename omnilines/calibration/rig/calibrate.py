@@ -1,5 +1,6 @@
 """Several cameras that are mounted together, in one joint adjustment: each alone, then where they stand, then all at once."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -30,6 +31,8 @@ from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.thresholds import CalibrationThresholds
 from omnilines.least_squares import Progress
 from omnilines.records import Corners
+
+CLOCKS = "comparing the clocks of the cameras"
 
 
 def calibrate_rig(
@@ -70,6 +73,11 @@ def calibrate_rig(
         if callback is not None:
             callback("refining the rig", step)
 
+    def begin(stage: str) -> None:
+        # What follows takes as long as the fit itself, and tells of no steps.
+        if callback is not None:
+            callback(stage, Progress(0, math.nan, math.nan, accepted=True))
+
     fit, solution = not_fitted(data, np.array(sorted(begun.start.board_from_numbered)), state)
     outcome = RigOutcome(
         data=data,
@@ -86,6 +94,7 @@ def calibrate_rig(
         thresholds=thresholds,
     )
     if begun.clocks_differ:
+        begin(CLOCKS)
         outcome = with_clocks(outcome, state, seen, asked=True)
     if outcome.data.runs is None:
         data, fit, reasons = fit_agreeing_views(
@@ -93,6 +102,7 @@ def calibrate_rig(
         )
         data, fit, solution, notes = least_squares_rig(data, fit, loss, joint)
         outcome = replace(outcome, data=data, fit=fit, solution=solution, reasons=reasons, notes=notes)
+        begin(CLOCKS)
         outcome = with_clocks(outcome, state, seen, asked=time_offsets and not begun.clocks_differ)
     if len(outcome.data.cameras) < len(begun.start.cameras):
         # Cameras whose clocks are not told are of the rig no more.
@@ -100,8 +110,11 @@ def calibrate_rig(
     failures = dict(outcome.failures)
     singles = _single_results(views, cameras, failures, begun.alone, loss, thresholds=thresholds)
     outcome = replace(outcome, failures=failures, singles=singles)
+    begin("looking for rolling shutters")
     outcome = with_line_delays(outcome, state, seen, asked=rolling_shutter)
+    begin("following the board between the shutters")
     outcome = loosened(outcome, state, seen)
+    begin("judging the rig")
     return rig_result(without_unsupported_terms(outcome))
 
 
