@@ -31,6 +31,8 @@ def unread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     camera_models.save(tmp_path / "rig.yaml", Calibration(dict.fromkeys(rig, LENS), {}, rig))
     camera_models.save(tmp_path / "one.yaml", Calibration({"cam0": LENS}))
     larger = OpenCVFisheye(LENS.parameters, (128, 96))
+    (tmp_path / "wrong.csv").write_text("image,what\n1.png,2\n")
+    cv2.imwrite(str(tmp_path / "small.png"), np.full((24, 32), 255, dtype=np.uint8))
     camera_models.save(tmp_path / "larger.yaml", Calibration({"cam0": larger}))
 
     def read(*_: object) -> None:
@@ -59,10 +61,20 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (("reconstruct", "--calibration", "one.yaml", "--poses", "boards"), "--pattern was expected with --poses boards"),
         (("reconstruct", "--calibration", "one.yaml", "--poses", "sfm", "--refine", "line"), "line"),
         (("reconstruct", "--calibration", "equirectangular", "--poses", "sfm"), "twice as wide as high"),
+        (("reconstruct", "--calibration", "one.yaml", "--poses", "wrong.csv"), "wrong.csv, line 1"),
+        (("reconstruct", "--calibration", "one.yaml", "--poses", "."), "of a COLMAP model were expected"),
+        (("reconstruct", "--calibration", "one.yaml", "--poses", "sfm", "--segments", "wrong.csv"), "wrong.csv, line 1"),
+        (("reconstruct", "--calibration", "one.yaml", "--poses", "sfm", "--mask", "none.png"), "which does not exist"),
+        (("reconstruct", "--calibration", "one.yaml", "--poses", "sfm", "--mask", "small.png"), "found 32x24 px"),
+        (("extract", "--calibration", "one.yaml", "--mask", "small.png"), "found 32x24 px"),
+        (("directions", "--calibration", "one.yaml", "--mask", "none.png"), "which does not exist"),
         (("extract", "--calibration", "rig.yaml"), "Videos named like the cameras"),
         (("directions", "--calibration", "larger.yaml"), "A video of 128x96 px"),
         (("check", "--calibration", "rig.yaml"), "Videos named like the cameras"),
         (("rectify", "--calibration", "one.yaml", "--view", "round"), "round"),
+        (("rectify", "--calibration", "one.yaml", "--poses", "wrong.csv"), "wrong.csv, line 1"),
+        (("rectify", "--calibration", "one.yaml", "--poses", "none.csv"), "none.csv"),
+        (("rectify", "--calibration", "one.yaml", "--body", "one.yaml"), "--body was expected with --poses of a trajectory"),
         (("detect", *BOARD, "--calibration", "rig.yaml"), "the calibration of one camera was expected"),
         (("calibrate", *BOARD, "--model", "opencv"), "A camera model is one of"),
         (("calibrate", "--pattern", "lines", "--model", "opencv"), "A camera model is one of"),

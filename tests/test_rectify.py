@@ -11,6 +11,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from camera_models import Calibration, load, save
+from camera_models.pose import Pose
 from omnilines.cli import main
 from omnilines.files import read_poses, write_poses
 from omnilines.pipelines.render import RenderOptions, render_scene
@@ -203,6 +204,25 @@ def test_poses_of_another_tool_are_taken_and_photos_that_it_did_not_place_left_o
     assert (tmp_path / "out" / "colmap" / "images.txt").is_file()
     assert run(*base, "--poses", "sfm") == 2
     assert "run omnilines reconstruct with --poses sfm first" in " ".join(capsys.readouterr().err.split())
+
+
+def test_cameras_on_the_body_of_a_trajectory_are_told_where_they_sit(rendered, tmp_path) -> None:
+    """`reconstruct` was, here the views had the poses of the body."""
+    scene, folder = rendered
+    (tmp_path / "in").mkdir()
+    for k, image in enumerate(scene.poses.images):
+        (tmp_path / "in" / f"{k}.png").write_bytes(Path(folder, image).read_bytes())
+    cam_from_body = Pose.exp(torch.tensor([[0.2, -0.1, 0.3, 0.05, 0.1, -0.02]], dtype=torch.float64))[0]
+    world_from_body = scene.poses.cam_from_world.inverse() @ cam_from_body
+    rows = torch.cat([world_from_body.rotation, world_from_body.translation[..., None]], -1).flatten(1)
+    (tmp_path / "poses.txt").write_text("".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist()))
+    matrix = [[*row, t] for row, t in zip(cam_from_body.rotation.tolist(), cam_from_body.translation.tolist(), strict=True)]
+    (tmp_path / "camchain.yaml").write_text(f"cam0:\n  T_cam_imu: {[*matrix, [0.0, 0.0, 0.0, 1.0]]}\n")
+    given = ["--poses", str(tmp_path / "poses.txt"), "--body", str(tmp_path / "camchain.yaml")]
+    base = ["--calibration", f"{folder}/calibration.yaml", "--size", "60x40", "--out", str(tmp_path / "out")]
+    assert run("rectify", str(tmp_path / "in"), *base, *given) == 0
+    views = read_poses(tmp_path / "out" / "poses.csv").cam_from_world
+    torch.testing.assert_close(views.translation, scene.poses.cam_from_world.translation, atol=1e-9, rtol=0)
 
 
 def test_wrong_inputs_are_named(rendered, tmp_path, capsys) -> None:

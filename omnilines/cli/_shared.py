@@ -66,6 +66,14 @@ MaskOf = Annotated[
     Path | None,
     typer.Option("--mask", help="Image, white where to look, or a folder of them: PHOTO.png or CAMERA.png.", show_default=False),
 ]
+Body = Annotated[
+    Path | None,
+    typer.Option(
+        "--body",
+        help="Where cameras sit on the body of a trajectory: Kalibr's camchain (T_cam_imu), EuRoC's sensor.yaml, VINS-Fusion's "
+        "settings (body_T_cam0), KITTI-360's calib_cam_to_pose.txt.",
+    ),
+]
 SplitInto = Annotated[
     str | None,
     typer.Option("--split", help="Lenses side by side in every image, as left,right; one above the other, as top/bottom."),

@@ -51,7 +51,7 @@ def extract(
                 lambda paths: command(
                     paths, calibration, out, mask=mask, options=options, executor=executor, progress=progress
                 ),
-                photos, out, check=partial(cameras_of_videos, calibration), split=split, progress=progress,
+                photos, out, check=partial(cameras_of_videos, calibration, mask=mask), split=split, progress=progress,
             )  # fmt: skip
 
     run(extracted, as_json, kept=out / "work")
@@ -91,7 +91,7 @@ def directions(
                 paths, calibration, out, orthogonal=orthogonal, vertical=vertical, mask=mask, extraction=extraction,
                 options=options, progress=progress,
             ),
-            photos, out, check=partial(cameras_of_videos, calibration), split=split, progress=progress,
+            photos, out, check=partial(cameras_of_videos, calibration, mask=mask), split=split, progress=progress,
         )  # fmt: skip
 
     run(found, as_json, kept=out / "work", plots=plots, photos=photos)
@@ -132,7 +132,7 @@ def check(
         if out is not None:
             return with_frames(
                 lambda paths: command(paths, calibration, out, mask=mask, options=options, progress=progress),
-                photos, out, check=partial(cameras_of_videos, calibration), progress=progress,
+                photos, out, check=partial(cameras_of_videos, calibration, mask=mask), progress=progress,
             )  # fmt: skip
         if find_videos(photos):
             raise InputError(f"`out` was expected beside {photos[0]}, for the frames of the video; give a folder.")

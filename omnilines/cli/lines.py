@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from camera_models.errors import InputError
-from omnilines.cli._shared import Cluster, Json, LossName, MaskOf, Out, Plots, Seed, Settings, SplitInto, app, run
+from omnilines.cli._shared import Body, Cluster, Json, LossName, MaskOf, Out, Plots, Seed, Settings, SplitInto, app, run
 from omnilines.cli.counts import PARTS
 from omnilines.cli.values import parse_three
 from omnilines.triangulation import method_options
@@ -86,14 +86,6 @@ MaybeRefine = Annotated[
     typer.Option("--refine", help="lines, with any of poses, intrinsics, rig (with --poses sfm: lines,poses; else: lines)."),
 ]
 MaybePattern = Annotated[str | None, typer.Option("--pattern", help="Target of --poses boards.")]
-Body = Annotated[
-    Path | None,
-    typer.Option(
-        "--body",
-        help="Where cameras sit on the body of a trajectory: Kalibr's camchain (T_cam_imu), EuRoC's sensor.yaml, VINS-Fusion's "
-        "settings (body_T_cam0), KITTI-360's calib_cam_to_pose.txt.",
-    ),
-]
 ScaleFrom = Annotated[
     str | None,
     typer.Option("--scale-from", help="PHOTO,PHOTO:METRES, a known distance, where poses leave the scale open (sfm, COLMAP)."),
@@ -187,8 +179,8 @@ def reconstruct(
                 ),
                 photos or [], out, split=split, progress=progress,
                 check=lambda sizes: check_videos(
-                    sizes, calibration, poses, options, pattern=pattern, body=body, pose_sigma_deg=pose_sigma_deg,
-                    pose_sigma_m=pose_sigma_m,
+                    sizes, calibration, poses, options, segments=segments, pattern=pattern, body=body,
+                    pose_sigma_deg=pose_sigma_deg, pose_sigma_m=pose_sigma_m, mask=mask,
                 ),
             )  # fmt: skip
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from omnilines.cli._shared import Json, Mirror, Out, Seed, Settings, Size, SplitInto, app, render_app, run
+from omnilines.cli._shared import Body, Json, Mirror, Out, Seed, Settings, Size, SplitInto, app, render_app, run
 from omnilines.cli.extraction import arcs_and_directions
 from omnilines.cli.values import parse_size
 
@@ -79,6 +79,7 @@ def rectify(
             "trajectory (TUM, EuRoC, KITTI): the poses of the views are written too.",
         ),
     ] = None,
+    body: Body = None,
     fov_deg: Annotated[
         float | None, typer.Option("--fov-deg", help="Angle across a perspective (90) or cylindrical (360) view, degrees.")
     ] = None,
@@ -106,7 +107,7 @@ def rectify(
 
     def views_of(paths: Sequence[Path], progress: "ProgressCallback") -> "CommandResult":
         return command(
-            paths, calibration, out, view=view, poses=poses, fov_deg=fov_deg, size=image_size, yaw_deg=yaw_deg,
+            paths, calibration, out, view=view, poses=poses, body=body, fov_deg=fov_deg, size=image_size, yaw_deg=yaw_deg,
             pitch_deg=pitch_deg, distance_m=distance_m, upright=upright, extraction=extraction, options=options,
             progress=progress,
         )  # fmt: skip
@@ -117,7 +118,15 @@ def rectify(
             photos,
             out,
             check=lambda sizes: check_videos(
-                sizes, calibration, view, size=image_size, fov_deg=fov_deg, yaw_deg=yaw_deg, pitch_deg=pitch_deg
+                sizes,
+                calibration,
+                view,
+                poses=poses,
+                body=body,
+                size=image_size,
+                fov_deg=fov_deg,
+                yaw_deg=yaw_deg,
+                pitch_deg=pitch_deg,
             ),
             split=split,
             progress=progress,

@@ -36,7 +36,7 @@ from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
 from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
-from omnilines.pipelines.pose_tables import named_cameras, unit_of_file, unit_of_poses, up_of_file
+from omnilines.pipelines.pose_tables import named_cameras, require_readable, unit_of_file, unit_of_poses, up_of_file
 from omnilines.pipelines.poses import check_source, estimate_poses, from_photos, require_body, require_source
 from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
@@ -153,15 +153,20 @@ def check_videos(
     poses: str,
     options: SceneOptions,
     *,
+    segments: Path | None = None,
     pattern: str | None = None,
     body: Path | None = None,
     pose_sigma_deg: float | None = None,
     pose_sigma_m: float | None = None,
+    mask: Path | None = None,
 ) -> Calibration:
     """The calibration of videos; refuses, before any frame of them is read, what `reconstruct_photos` refuses of their frames.
     Raises InputError."""
-    cameras = cameras_of_videos(calibration, sizes)
+    cameras = cameras_of_videos(calibration, sizes, mask)
+    _read(segments, mask)
     require_source(poses, pattern, body)
+    if not from_photos(poses):
+        require_readable(Path(poses))
     check_options(options, cameras, _pose_sigma(pose_sigma_deg, pose_sigma_m, "poses" in options.refine))
     return cameras
 
@@ -214,14 +219,20 @@ def _require_enough(photos: Sequence[Photo], poses: str) -> None:
 
 
 def _given(segments: Path | None, mask: Path | None, photos: Sequence[Photo], camera_of: Mapping[str, str]) -> Segments | None:
+    """A user's own segments, where there are some, of these photos."""
+    table = _read(segments, mask)
+    if table is not None:
+        check_given(table, photos, camera_of, str(segments))
+    return table
+
+
+def _read(segments: Path | None, mask: Path | None) -> Segments | None:
     """A user's own segments, where there are some."""
     if segments is None:
         return None
     if mask is not None:
         raise InputError("`mask` says where arcs are looked for, found `segments` beside it; leave one of them out.")
-    table = read_segments(segments)
-    check_given(table, photos, camera_of, str(segments))
-    return table
+    return read_segments(segments)
 
 
 def _given_files(*files: Path | None) -> list[Path]:

@@ -21,7 +21,8 @@ from omnilines.files.folders import WORK, check_output_folder, check_results, ch
 from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pipelines.arcs import SHORT_ARCS
-from omnilines.pipelines.poses import estimate_poses, from_photos, kind_of
+from omnilines.pipelines.pose_tables import require_readable
+from omnilines.pipelines.poses import estimate_poses, from_photos, kind_of, require_body
 from omnilines.pipelines.rectified import COLMAP_VIEWS, LEVELS, RectifiedViews
 from omnilines.pipelines.rectify import rectify as pipeline
 from omnilines.pipelines.upright import Level
@@ -38,6 +39,7 @@ def rectify(
     *,
     view: str = "perspective",
     poses: str | Path | None = None,
+    body: Path | None = None,
     fov_deg: float | None = None,
     size: tuple[int, int] | None = None,
     yaw_deg: float = 0.0,
@@ -51,19 +53,21 @@ def rectify(
     """Write views of photos (PNG) into `out`, with calibration.yaml, where poses are given poses.csv of the views, and of upright
     ones upright.csv: how each is turned, by arcs that are kept in `out/work`.
 
+    `body` is where cameras sit on the body of a trajectory that gives the poses.
     Perspective and cube views with poses are also written as a COLMAP text model, in the folder `colmap`. Raises InputError as
     `pipelines.rectify.rectify` does.
     """
     refs = find_photos(photos)
     cameras = read_cameras(calibration, refs)
     require_distinct_stems(refs)
-    table, refs, unposed = _posed(poses, refs, cameras)
+    table, refs, unposed = _posed(poses, body, refs, cameras)
     asked = {"fov_deg": fov_deg, "yaw_deg": yaw_deg, "pitch_deg": pitch_deg, "distance_m": distance_m}
     folder = Path(out)
     check_output_folder(folder)
     if table is not None and view in COLMAP_VIEWS:
         check_colmap_folder(folder / "colmap", [photo.name for photo in refs])
-    read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration), *([] if poses is None else [poses])]
+    read = [*photos, *(photo.path for photo in refs), *calibration_files(calibration)]
+    read += [file for file in (poses, body) if file is not None]
     if upright:
         check_results(folder, ["calibration.yaml", LEVELS], read)
         check_work_folder(folder / WORK, read)
@@ -81,22 +85,33 @@ def rectify(
 
 
 def _posed(
-    given: str | Path | None, photos: list[PhotoRef], cameras: Calibration
+    given: str | Path | None, body: Path | None, photos: list[PhotoRef], cameras: Calibration
 ) -> tuple[ImagePoses | None, list[PhotoRef], tuple[Detail, ...]]:
     """The poses given, if any, the photos of which views are made, and of a COLMAP model or another tool's file the photos that
     it could not place."""
+    _require_poses(given, body)
     if given is None:
         return None, photos, ()
+    if not Path(given).exists() or kind_of(str(given)) == "table":
+        return read_poses(given), photos, ()
+    posed = estimate_poses(photos, cameras, given, body=body)
+    lost = tuple(Detail(name, f"{name} is left out: {why}") for name, why in posed.left_out.items())
+    return posed.poses, [photo for photo in photos if photo.name not in posed.left_out], lost
+
+
+def _require_poses(given: str | Path | None, body: Path | None) -> None:
+    """Raises InputError where poses are still to be found in photos, and where a body is given with poses of no trajectory."""
+    if given is None and body is not None:
+        raise InputError("`body` was expected with `poses` of a trajectory and only there, found no `poses`; leave it out.")
+    if given is None:
+        return
     if from_photos(str(given)):
         raise InputError(
             f"`poses` was expected as a poses.csv, a COLMAP model's folder, {TITLES}, found {given}, which looks for poses: run "
             f"omnilines reconstruct with --poses {given} first, and give the poses.csv that it writes."
         )
-    if not Path(given).exists() or kind_of(str(given)) == "table":
-        return read_poses(given), photos, ()
-    posed = estimate_poses(photos, cameras, given)
-    lost = tuple(Detail(name, f"{name} is left out: {why}") for name, why in posed.left_out.items())
-    return posed.poses, [photo for photo in photos if photo.name not in posed.left_out], lost
+    if Path(given).exists():
+        require_body(str(given), body)
 
 
 def check_videos(
@@ -104,14 +119,21 @@ def check_videos(
     calibration: str | Path,
     view: str,
     *,
+    poses: Path | None,
+    body: Path | None,
     size: tuple[int, int] | None,
     fov_deg: float | None,
     yaw_deg: float,
     pitch_deg: float,
 ) -> Calibration:
-    """The calibration of videos; refuses a view that is none before any frame of them is read. Raises InputError."""
+    """The calibration of videos; refuses a view that is none, and poses that cannot be read, before any frame of them is read.
+    Raises InputError."""
     views(view, size, fov_deg, yaw_deg, pitch_deg)
-    return cameras_of_videos(calibration, sizes)
+    cameras = cameras_of_videos(calibration, sizes)
+    _require_poses(poses, body)
+    if poses is not None:
+        require_readable(poses)
+    return cameras
 
 
 def _result(made: RectifiedViews, files: tuple[Path, ...], folder: Path) -> CommandResult:

@@ -12,6 +12,7 @@ from camera_models.errors import OmnilinesError
 from camera_models.wording import listed
 from omnilines.files import is_corners_table, read_corners, read_poses
 from omnilines.files.scene_folder import UNIT_KEY, stated_up
+from omnilines.posing.from_colmap import read_model
 from omnilines.posing.from_corners import poses_from_corners
 from omnilines.posing.from_rig import complete_from_rig
 from omnilines.posing.instant_names import instants
@@ -31,6 +32,18 @@ def named_cameras(source: str) -> dict[str, str]:
         return {}
     table = read_poses(path)
     return {image: name for image, name in zip(table.images, table.cameras or (), strict=False) if name}
+
+
+def require_readable(path: Path) -> None:
+    """Reads the file, or the folder of a model, that poses are to come from, whatever photos it is of. Raises as it is read."""
+    if path.is_dir():
+        read_model(path)
+    elif (tool := pose_file_of(path)) is not None:
+        tool.read(path)
+    elif is_corners_table(path):
+        read_corners(path)
+    else:
+        read_poses(path)
 
 
 def from_table(
