@@ -93,8 +93,9 @@ def bench_systems_of_separators() -> None:
             root = rng.standard_normal((6 * len(own), 6 * len(own)))
             information = root @ root.T + 6 * len(own) * np.eye(6 * len(own))
             reduced.append(Reduced(information, np.zeros((6 * len(own), 1)), np.zeros((1, 1)), np.inf))
+        nothing_open = np.zeros((6 * len(shared), 0))
         begin = time.process_time()
-        system = SharedSystem.of(pattern, touched, reduced, np.zeros((6 * len(shared), 0)), 0.0)
+        system = SharedSystem.of(pattern, touched, reduced, nothing_open, nothing_open, 0.0)
         factor = time.process_time() - begin
         assert system is not None
         begin = time.process_time()
