@@ -72,8 +72,7 @@ DEFAULT = [("opencv-fisheye", 3, 8, 0.3, kind) for kind in KINDS]
     [(*case, 10) for case in DEFAULT] + [pytest.param(*case, 200, marks=pytest.mark.full) for case in CASES],
 )
 def test_intervals_of_cameras(name, views, count, noise_px, kind, seeds):
-    """Also with three views of eight corners: 22 degrees of freedom. They do not support all terms of the distortion, and what is
-    stated of these is on the safe side: focal lengths and the principal point are judged by themselves."""
+    """Also with three views of eight corners: 22 degrees of freedom."""
     truth, reach = LENSES[name]
     poses, inside = board_views(truth, reach, views, 4), []
     free = truth.calibration_basis().abs().sum(1).numpy() > 0
@@ -92,13 +91,7 @@ def test_intervals_of_cameras(name, views, count, noise_px, kind, seeds):
     assert len(inside) > 0.8 * seeds
     # An outlier of a few standard deviations among 24 corners goes unseen now and then.
     least = 0.90 if kind == "outliers" and count < len(BOARD) else 0.92
-    covered, text = np.array(inside), f"{name}, {views} views of {count} corners, {kind}"
-    if count < len(BOARD):
-        optional = np.array([any(own in group for group in truth.OPTIONAL_TERMS) for own in truth.named_parameters()])[free]
-        assert optional.any()
-        assert_covered(covered[:, optional], seeds, f"{text}, terms", least, 1.0)
-        covered = covered[:, ~optional]
-    assert_covered(covered, seeds, text, least)
+    assert_covered(np.array(inside), seeds, f"{name}, {views} views of {count} corners, {kind}", least)
 
 
 @pytest.mark.slow
@@ -137,8 +130,7 @@ def test_a_straight_valley_is_left_alone():
 def test_stated_noise_is_used_and_tested():
     """Twice the corners' noise is used as it is; half of it does not bear the residuals, which is said."""
     truth, reach = LENSES["opencv-fisheye"]
-    # So many that no term of the distortion is held: what that moves does not follow the noise.
-    corners = board_corners(truth, board_views(truth, reach, 16, 4), 0.2, 5)
+    corners = board_corners(truth, board_views(truth, reach, 5, 4), 0.2, 5)
     sigma = {}
     for stated in (None, 0.1, 0.2, 0.4):
         given = corners if stated is None else replace(corners, sigma_px=np.full(len(corners), stated))

@@ -174,7 +174,7 @@ def test_distortion_that_views_do_not_support_is_held_and_named():
     """A narrow lens with k1 = -0.1 and few views: all five coefficients come out as k2 = -2, k3 = 19 and say nothing."""
     lens = Pinhole([2600.0, 2600.0, 650.0, 470.0, 0, -0.1, 0, 0, 0, 0, 0, 0, 0], SIZE)
     half_deg = np.degrees(np.arctan(np.hypot(650, 490) / 2600))
-    held_deg, free_deg, weighed = [], [], []
+    held_deg, free_deg = [], []
     for seed in (0, 1, 7, 11):
         corners = board_corners(lens, board_views(lens, half_deg, 4, seed, distance_m=(0.9, 2.0)), 0.3, seed)
         result = calibrate_camera(corners, SIZE, "pinhole")
@@ -185,15 +185,10 @@ def test_distortion_that_views_do_not_support_is_held_and_named():
         free = calibrate_camera(corners, SIZE, "pinhole", options={"coefficients": 5})
         assert not any("held" in note for note in free.notes) and free.model.named_parameters()["k3"] != 0
         assert result.sigma["k3"] > 1 and result.sigma["k3"] > 0.5 * free.sigma["k3"]
-        # How far that moved everything is within what is stated, also where it is little likely by the noise alone.
-        moved = (result.model.parameters - free.model.parameters).numpy()
-        estimated = np.diag(result.covariance) > 0
-        weighed.append(moved[estimated] @ np.linalg.pinv(result.covariance[np.ix_(estimated, estimated)]) @ moved[estimated])
         reach = np.radians(result.max_angle_deg)
         held_deg.append(bearing_errors(result.model, lens, reach).rms_deg)
         free_deg.append(bearing_errors(free.model, lens, reach).rms_deg)
     assert np.mean(held_deg) < np.mean(free_deg)
-    assert len(weighed) == 4 and max(weighed) < 1
 
 
 def test_distortion_that_the_lens_has_is_not_held():

@@ -64,14 +64,8 @@ def camera_result(
     basis: Float[Tensor, "p q"],
     floor: tuple[BoardProblem, Sequence[Solution[CameraAndBoards]]],
     notes: tuple[str, ...],
-    moved: Float[Tensor, " p"],
 ) -> CameraCalibration:
-    """`floor` is the problem along all columns and its minima, first the one that `solution` refines; `moved` is how far terms
-    that are held moved the parameters from there.
-
-    Which terms are held follows from the same noise as the rest: the move counts as an error of its own (S. T. Buckland,
-    K. P. Burnham, N. H. Augustin, Model selection: an integral part of inference, Biometrics 53, 1997).
-    """
+    """`floor` is the problem along all columns and its minima, first the one that `solution` refines."""
     state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
     unit, q = _unit_covariance(final, solution, basis), basis.shape[1]
     stated = stated_variance_px2(corners, final.rows, thresholds.noise.corner_floor_px)
@@ -81,7 +75,7 @@ def camera_result(
     factor = variance_factor(cost, _freedom(final, solution), stated, thresholds.noise.significance)
     groups = BoardProblem(final.points, basis, final.weight, state.shape).by_views(state)
     certain = stated_covariance(groups, unit, factor, cost, _freedom(final, solution), thresholds.noise.significance)
-    covariance = basis @ certain.covariance[:q, :q] @ basis.mT + torch.outer(moved, moved)
+    covariance = basis @ certain.covariance[:q, :q] @ basis.mT
     covariance = 0.5 * (covariance + covariance.mT)
     squared, count = np.sum(state.residual_px(final.points).numpy() ** 2), len(final.points.view)
     rough = misfit_notes(math.sqrt(squared / (2 * count)), model.image_size, math.sqrt(stated or 0.0), thresholds.doubt)

@@ -113,7 +113,7 @@ def calibrate_from_fit(
     refuse_parallel_boards(solution.state.cam_from_board, parallel_deg)
     refuse_other_squares(problem, solution.state, thresholds.doubt, callback)
     notes: tuple[str, ...] = size_notes(final.points.board, thresholds.doubt)
-    held, every = None, solution.state.model.parameters
+    held = None
     if solution.outcome is Outcome.DEGENERATE:
         direction = basis @ solution.weakest_direction[: basis.shape[1]]
         held = redundant_parameter(solution.state.model, direction, final.points.pixels)
@@ -124,12 +124,10 @@ def calibrate_from_fit(
         )
         basis = basis_without(basis, held)
         solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
-        every = solution.state.model.parameters
     elif hold_unsupported and solution.outcome is Outcome.CONVERGED:
         solution, held_terms = without_unsupported_terms(problem, solution, thresholds.held_out)
         notes += held_terms
-    moved = solution.state.model.parameters - every
-    return camera_result(final, solution, basis, (problem, minima), notes, moved)
+    return camera_result(final, solution, basis, (problem, minima), notes)
 
 
 def robust_camera(
