@@ -192,3 +192,13 @@ def test_a_view_that_decides_most_is_named():
     shares = [view.leverage for view in result.views]
     assert max(shares) == shares[-1] and abs(sum(shares) - 1) < 1e-9
     assert any("hangs on view 009.png" in note for note in result.notes) == (shares[-1] > 0.5)
+
+
+def test_three_photos_say_that_they_do_not_tell_whether_they_contradict_each_other() -> None:
+    lens = OpenCVFisheye([320.0, 320.0, 645.0, 470.0, 0.01, -0.005, 0.001, 0.0], (1280, 960))
+    notes = {
+        views: " ".join(calibrate_camera(board_corners(lens, board_views(lens, 75, views, 3), 0.2, 3), lens.image_size).notes)
+        for views in (3, 4)
+    }
+    said = "Whether photos contradict each other about the camera is told from 4 photos on, found 3"
+    assert said in notes[3] and "is told from 4 photos on" not in notes[4]

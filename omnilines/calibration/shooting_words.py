@@ -8,6 +8,7 @@ from torch import Tensor
 
 from camera_models.pose import Pose
 from camera_models.wording import rounded
+from omnilines.calibration.by_views import LEAST_VIEWS
 from omnilines.calibration.diagnose import angles_off_axis
 from omnilines.calibration.image_field import ImageField
 from omnilines.calibration.pose_candidates import Candidates, SeenBoards
@@ -95,7 +96,8 @@ def limits_of(
     if most_deg < thresholds.facing_deg:
         told += (f"All boards face the camera: none is tilted by more than {most_deg:.0f} degrees.",)
     if len(poses) < thresholds.few_views:
-        told += (f"There are only {len(poses)} views.",)
+        untold = "" if len(poses) >= LEAST_VIEWS else ", too few to tell whether they contradict each other"
+        told += (f"There are only {len(poses)} views{untold}.",)
     if corner_sigma_px > thresholds.noisy_px:
         told += (
             f"Corners are good to {px_words(corner_sigma_px)} px only: blurred or noisy photos, a board that is not flat, or "
