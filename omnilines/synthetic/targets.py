@@ -111,8 +111,6 @@ def _out_of_true(ideal: CameraModel, half: float, rng: np.random.Generator) -> F
         "p1": rng.uniform(-5e-4, 5e-4) / edge,
         "p2": rng.uniform(-5e-4, 5e-4) / edge,
         "p0": rng.uniform(-5e-4, 5e-4) / edge,
-        "s0": rng.uniform(-5e-4, 5e-4) / edge,
-        "s2": rng.uniform(-5e-4, 5e-4) / edge,
     }
     # Eight digits, so that the last bits of the curve's fit, which vary between machines, leave no trace.
     return np.array([float(f"{value + nudges.get(name, 0.0):.8g}") for name, value in named.items()])
