@@ -39,6 +39,7 @@ from omnilines.calibration.rig.problem import RigState
 from omnilines.calibration.rig.result import RigCalibration
 from omnilines.calibration.rig.views import RigViews
 from omnilines.least_squares import solve
+from omnilines.pages.limits import rig_advice
 from omnilines.pipelines.calibrate_rig import RigSetup
 from omnilines.records import Corners
 
@@ -172,6 +173,12 @@ def test_models_that_were_chosen_are_named_with_why():
     # A camera of which more corners were found is asked again.
     again = RigSetup(ol.CalibrationOptions("auto"), {}, "fixed", {}, False).as_chosen(found.fit, ["cam1"])
     assert {name: one.model for name, one in again.cameras(size).items()} == {"cam0": "auto", "cam1": "opencv-fisheye"}
+    # Where corners lie farther off than is stated, all models are to be compared only of a camera of which they were not.
+    of_camera = np.array(found.fit.corners.cameras)[found.fit.corners.view]
+    for worst, asked in (("cam0", False), ("cam1", True)):
+        stated = replace(found.fit.corners, sigma_px=np.where(of_camera == worst, 1e-3, 1.0))
+        advice = [one for one in rig_advice(replace(found.fit, corners=stated), {}) if one.limit.startswith(f"{worst}: corners")]
+        assert len(advice) == 1 and ("`model` auto" in advice[0].do) == asked
 
 
 def test_exact_corners_give_the_exact_rig():

@@ -234,7 +234,7 @@ def _noise_of_the_worst(result: RigCalibration) -> list[Advice]:
     worst = max(ratio, key=lambda name: ratio[name], default="")
     if not worst or ratio[worst] < UNEXPLAINED:
         return []
-    do = _of_noise([view for view in result.views if view.camera == worst], result.board_terms, False)
+    do = _of_noise([view for view in result.views if view.camera == worst], result.board_terms, bool(result.member(worst).chosen))
     return [_unexplained(worst, ratio[worst], stated[worst], do)]
 
 
