@@ -19,8 +19,12 @@ from torch import Tensor
 
 from camera_models._radial import CHUNK
 
+PLAIN_STEPS = 3
+"""Of Newton's on all points, which bring terms of the size that lenses have to rounding."""
+LAST_STEP = 1e-8
+"""Of the plain ones, relative to 1 + the radius, after which the error, quadratic in it, is one of rounding."""
 NEWTON_STEPS = 60
-"""Of the inverse, at most; three or four bring terms of the size that lenses have to rounding."""
+"""At most, on the points that are left."""
 SHORTER = (1.0, 0.5, 0.125, 0.02)
 """Shares of a step that are tried."""
 CLOSE, ROUNDED = 1e-14, 100.0
@@ -103,13 +107,30 @@ def replaced(
     reach = largest + r2 * (3 * math.hypot(p0, p1) + math.hypot(s0, s2) + r2 * math.hypot(s1, s3))
     rows = torch.nonzero(target.norm(dim=-1) <= reach * (1 + 1e-12))[:, 0]
     for chunk in rows.split(CHUNK):
-        plane[chunk], found[chunk] = _newton(terms, largest, target[chunk], plane[chunk])
+        near, found[chunk] = _plain(terms, largest, target[chunk])
+        plane[chunk] = torch.where(found[chunk, None], near, plane[chunk])
+    left = rows[~found[rows]]
+    if len(left):
+        plane[left], found[left] = _newton(terms, largest, target[left], plane[left])
     return plane, found
 
 
 def _inwards(d: Tensor, largest: float) -> Tensor:
     """The share of each d at which it lies in the disc."""
     return torch.clamp(largest / d.norm(dim=-1, keepdim=True).clamp_min(1e-300), max=1.0)
+
+
+def _plain(terms: Sequence[float], largest: float, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Whole steps from the target, and where the last of them was small enough."""
+    tx, ty = target.unbind(-1)
+    x, y = tx, ty
+    sx = sy = torch.full_like(tx, torch.inf)
+    for _ in range(PLAIN_STEPS):
+        at = displaced(terms, x, y)
+        sx, sy = step_back(at, at.x - tx, at.y - ty)
+        x, y = x - sx, y - sy
+    radius = torch.hypot(x, y)
+    return torch.stack([x, y], -1), (torch.hypot(sx, sy) <= LAST_STEP * (1 + radius)) & (radius <= largest)
 
 
 def _newton(terms: Sequence[float], largest: float, target: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
