@@ -146,7 +146,7 @@ def off_px(fit: CameraCalibration, much: float) -> float:
 def test_a_lens_that_is_not_centred_is_told_with_what_it_does_to_the_camera(model: str) -> None:
     fit = calibrate_camera(decentred(1, 1.0), WIDE.image_size, model)
     (note,) = said(fit)
-    assert fit.unmodelled is not None and fit.unmodelled.kind == "decentering" and "`--model unified`" in note
+    assert fit.unmodelled is not None and fit.unmodelled.kind == "decentering" and "`--model fisheye624`" in note
     size = 3 * np.radians(fit.unmodelled.reach_deg) ** 2 * float(DECENTRED.norm())
     assert fit.unmodelled.size == pytest.approx(size, rel=0.2)
     off = off_px(fit, 1.0)
