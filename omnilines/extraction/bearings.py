@@ -32,6 +32,8 @@ _MOST_NODES = 4
 """Of a chart, for each node of the image: a model may stretch a few of them over any range."""
 _MOST_FINER = 150_000
 """Nodes of a chart at half the step: some 0.1 s of CPU, once for a camera."""
+_MOST_AROUND = 1_000_000
+"""Nodes of a chart with those around what it shows: a camera may show the world as a strip, along which they would be many."""
 _BEYOND = 6
 """Nodes around the image, and around what of a chart it shows."""
 _INSIDE = (slice(_BEYOND, -_BEYOND), slice(_BEYOND, -_BEYOND))
@@ -142,16 +144,28 @@ def _charts(model: CameraModel) -> Charts:
         area = float((np.ptp(shown, axis=0) + 1e-9).prod())
         median = float(np.median(np.linalg.norm(np.diff(place, axis=1)[both], axis=-1)))
         between = max(median, math.sqrt(area / (_MOST_NODES * own.size)))
+        extent = np.ptp(shown, axis=0)
+        while _nodes(extent, between) > _MOST_AROUND:
+            between *= 2.0
         # The half sphere goes on beyond the last node of the image in it.
         reach = (shown.min(0) - between).clip(-1.0, 1.0), (shown.max(0) + between).clip(-1.0, 1.0)
         table, cells, low = _chart(model, side, reach, between)
-        while 4.0 * area / between**2 <= _MOST_FINER and _left(cells, (inside - low) / between) > MOST_ASKED:
+        while (
+            4.0 * area / between**2 <= _MOST_FINER
+            and _nodes(extent, 0.5 * between) <= _MOST_AROUND
+            and _left(cells, (inside - low) / between) > MOST_ASKED
+        ):
             between *= 0.5
             table, cells, low = _chart(model, side, reach, between)
         shape[side], origin[side], step[side], begin[side] = cells.shape, low, between, sum(map(len, good))
         nodes.append(table.reshape(-1, 8))
         good.append(cells.ravel())
     return Charts(begin, shape, origin, step, np.concatenate(nodes), np.concatenate(good))
+
+
+def _nodes(extent: Float[np.ndarray, "2"], between: float) -> float:
+    """Of a chart that shows so much, with those around it."""
+    return float((extent / between + 2.0 * (_BEYOND + 1)).prod())
 
 
 def _left(cells: Bool[np.ndarray, "h w"], place: Float[np.ndarray, "n 2"]) -> float:
