@@ -32,7 +32,7 @@ _MOST_NODES = 4
 """Of a chart, for each node of the image: a model may stretch a few of them over any range."""
 _MOST_FINER = 150_000
 """Nodes of a chart at half the step: some 0.1 s of CPU, once for a camera."""
-_MOST_AROUND = 1_000_000
+_MOST_AROUND = 300_000
 """Nodes of a chart with those around what it shows: a camera may show the world as a strip, along which they would be many."""
 _BEYOND = 6
 """Nodes around the image, and around what of a chart it shows."""
