@@ -181,8 +181,9 @@ def test_what_photos_can_get_wrong(photos, tmp_path, capsys):
     assert "checkerboard" in refused(capsys, "calibrate", photos, "--pattern", "chess:7x5:30mm", *out)
     two = [photos / "view0.png", photos / "view1.png"]
     assert "at least 3, found 2" in refused(capsys, "calibrate", *two, "--pattern", SPEC, *out)
-    assert "pinhole, opencv-fisheye, fisheye624, scaramuzza, unified, extended-unified, double-sphere, equirectangular" in refused(
-        capsys, "calibrate", photos, "--pattern", SPEC, "--model", "fish", *out
+    assert (
+        "pinhole, opencv-fisheye, fisheye624, scaramuzza, unified, extended-unified, double-sphere, equirectangular"
+        in refused(capsys, "calibrate", photos, "--pattern", SPEC, "--model", "fish", *out)
     )
     # What was found is kept for the same photos with other options.
     assert [path.name for path in (tmp_path / "o").iterdir()] == ["work"]
