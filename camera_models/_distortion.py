@@ -12,6 +12,7 @@ In the directions along and across x, with g = d(r q) / dr and p turned by psi f
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from camera_models._disc import damped_newton
 from camera_models._radial import CHUNK, first_sign_change, interpolate
 
 FURTHEST_SLOPE = 1e8
@@ -33,7 +35,6 @@ TABLE_SIZE = 2048
 """Samples of the radial curve that give the start of the inverse."""
 NEWTON_STEPS = 6
 """Of the inverse without safeguards; a point that needs more is left to damped steps."""
-DAMPED_STEPS = 60
 LAST_STEP = 3e-9
 """Newton's step relative to 1 + radius after which the error, quadratic in it, is one of rounding."""
 
@@ -185,7 +186,8 @@ def undistort(
         plane[chunk], found[chunk] = _newton(coefficients, largest, target[chunk], distance[chunk], table)
     left = rows[~found[rows]]
     if len(left):
-        plane[left], found[left] = _damped(coefficients, largest, target[left], plane[left])
+        image = partial(distort, coefficients)
+        plane[left], found[left] = damped_newton(image, solve_symmetric, largest, target[left], plane[left])
     return plane, found
 
 
@@ -224,36 +226,6 @@ def _newton(
             break
         place, x, y, tx, ty = place[left], x[left], y[left], tx[left], ty[left]
     return plane, found
-
-
-def _damped(coefficients: Sequence[float], largest: float, target: Tensor, plane: Tensor) -> tuple[Tensor, Tensor]:
-    """Newton with step halving from any point of the disc, kept inside it; whether it converged is told by the residual."""
-
-    def value(p: Tensor) -> tuple[Distorted, Tensor]:
-        at = distort(coefficients, p[..., 0], p[..., 1])
-        residual = torch.stack([at.x, at.y], -1) - target
-        return at, residual
-
-    at, residual = value(plane)
-    error = residual.norm(dim=-1)
-    for _ in range(DAMPED_STEPS):
-        step = torch.stack(solve_symmetric(at, *residual.unbind(-1)), -1)
-        best, best_error = plane, error
-        for shrink in (1.0, 0.5, 0.125, 0.02):
-            trial = plane - shrink * step
-            trial = trial * torch.clamp(largest / trial.norm(dim=-1, keepdim=True).clamp_min(1e-300), max=1.0)
-            trial_error = value(trial)[1].norm(dim=-1)
-            better = trial_error < best_error
-            best = torch.where(better[..., None], trial, best)
-            best_error = torch.where(better, trial_error, best_error)
-            if bool((better | (error == 0)).all()):
-                break
-        stalled = bool((best_error >= error).all())
-        plane, error = best, best_error
-        at, residual = value(plane)
-        if stalled:
-            break
-    return plane, error < 1e-9 * (1 + target.norm(dim=-1))
 
 
 def solve_symmetric(at: Distorted, dx: Tensor, dy: Tensor) -> tuple[Tensor, Tensor]:

@@ -11,24 +11,20 @@ least eigenvalue of that at the radius r is 1 - r (|2 p + m| + |m|) in the worst
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from camera_models._disc import damped_newton
 from camera_models._radial import CHUNK
 
 PLAIN_STEPS = 3
 """Of Newton's on all points, which bring terms of the size that lenses have to rounding."""
 LAST_STEP = 1e-8
 """Of the plain ones, relative to 1 + the radius, after which the error, quadratic in it, is one of rounding."""
-NEWTON_STEPS = 60
-"""At most, on the points that are left."""
-SHORTER = (1.0, 0.5, 0.125, 0.02)
-"""Shares of a step that are tried."""
-CLOSE, ROUNDED = 1e-14, 100.0
-"""Distance from the target, relative to 1 + its own, at which steps end, and how many times that is one of rounding."""
 FURTHEST = 1e75
 """Radius whose fourth power is a number."""
 STEPS_TO_ROOT = 200
@@ -99,25 +95,21 @@ def replaced(
     terms: Sequence[float], largest: float, target: Float[Tensor, "n 2"]
 ) -> tuple[Float[Tensor, "n 2"], Bool[Tensor, " n"]]:
     """d with T(d) = target in the disc of radius `largest`, and whether there is one; elsewhere d is any point of the disc."""
-    plane = target * _inwards(target, largest)
+    length = target.norm(dim=-1)
+    plane = target * torch.clamp(largest / length.clamp_min(1e-300), max=1.0)[:, None]
     found = torch.zeros(len(target), dtype=torch.bool, device=target.device)
     # |T(d)| is at most r + 3 r^2 |p| + r^2 |a| + r^4 |b|: beyond that at the edge there is nothing to look for.
     p0, p1, s0, s1, s2, s3 = terms
     r2 = min(largest, FURTHEST) ** 2
     reach = largest + r2 * (3 * math.hypot(p0, p1) + math.hypot(s0, s2) + r2 * math.hypot(s1, s3))
-    rows = torch.nonzero(target.norm(dim=-1) <= reach * (1 + 1e-12))[:, 0]
+    rows = torch.nonzero(length <= reach * (1 + 1e-12))[:, 0]
     for chunk in rows.split(CHUNK):
         near, found[chunk] = _plain(terms, largest, target[chunk])
         plane[chunk] = torch.where(found[chunk, None], near, plane[chunk])
     left = rows[~found[rows]]
     if len(left):
-        plane[left], found[left] = _newton(terms, largest, target[left], plane[left])
+        plane[left], found[left] = damped_newton(partial(displaced, terms), step_back, largest, target[left], plane[left])
     return plane, found
-
-
-def _inwards(d: Tensor, largest: float) -> Tensor:
-    """The share of each d at which it lies in the disc."""
-    return torch.clamp(largest / d.norm(dim=-1, keepdim=True).clamp_min(1e-300), max=1.0)
 
 
 def _plain(terms: Sequence[float], largest: float, target: Tensor) -> tuple[Tensor, Tensor]:
@@ -131,33 +123,3 @@ def _plain(terms: Sequence[float], largest: float, target: Tensor) -> tuple[Tens
         x, y = x - sx, y - sy
     radius = torch.hypot(x, y)
     return torch.stack([x, y], -1), (torch.hypot(sx, sy) <= LAST_STEP * (1 + radius)) & (radius <= largest)
-
-
-def _newton(terms: Sequence[float], largest: float, target: Tensor, d: Tensor) -> tuple[Tensor, Tensor]:
-    """Steps from d, shortened until they come closer, on the points that have not converged and still do."""
-
-    def error_at(d: Tensor, aim: Tensor) -> tuple[Plane, Tensor, Tensor, Tensor]:
-        at = displaced(terms, d[:, 0], d[:, 1])
-        dx, dy = at.x - aim[:, 0], at.y - aim[:, 1]
-        return at, dx, dy, torch.hypot(dx, dy)
-
-    d, limit = d.clone(), CLOSE * (1 + target.norm(dim=-1))
-    left = torch.arange(len(d), device=d.device)
-    for _ in range(NEWTON_STEPS):
-        here, aim = d[left], target[left]
-        at, dx, dy, error = error_at(here, aim)
-        step = torch.stack(step_back(at, dx, dy), -1)
-        closer = torch.zeros_like(error, dtype=torch.bool)
-        best = here
-        for share in SHORTER:
-            trial = here - share * step
-            trial = trial * _inwards(trial, largest)
-            take = ~closer & (error_at(trial, aim)[3] < error)
-            best, closer = torch.where(take[:, None], trial, best), closer | take
-            if bool((closer | (error <= limit[left])).all()):
-                break
-        d[left] = best
-        left = left[closer & (error > limit[left])]
-        if not len(left):
-            break
-    return d, error_at(d, target)[3] <= ROUNDED * limit

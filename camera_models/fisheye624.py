@@ -20,19 +20,17 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models._arrays import Array
+from camera_models._coefficients import WithCoefficients
 from camera_models._equidistant import bearings_of_plane, clamped, curve, grows_until, nearest_terms, scale_of, slopes_of
-from camera_models._model import CameraModel
 from camera_models._radial import angle_over_distance, invert_monotone, named_vector
 from camera_models._sphere import refuse_mirror
 from camera_models._thin_prism import displaced, one_to_one_until, replaced, step_back
-from camera_models.errors import InputError
 
 _MORE = {6: (), 8: ("s0", "s2"), 12: ("k4", "k5", "s0", "s1", "s2", "s3")}
 """What a calibration estimates beside fx fy cx cy k0 k1 k2 k3 p0 p1, by the number of its coefficients."""
 
 
-class Fisheye624(CameraModel):
+class Fisheye624(WithCoefficients):
     """An odd polynomial of degree 13 in theta, then a map of the plane; all zero but fx fy cx cy is the equidistant lens."""
 
     NAME = "fisheye624"
@@ -42,21 +40,6 @@ class Fisheye624(CameraModel):
     PARAMETER_NAMES = (
         *("fx", "fy", "cx", "cy"), *("k0", "k1", "k2", "k3", "k4", "k5"), *("p0", "p1"), *("s0", "s1", "s2", "s3"),
     )  # fmt: skip
-
-    def __init__(
-        self,
-        parameters: Array | Sequence[float | int],
-        image_size: tuple[int, int],
-        coefficients: int = 12,
-        *,
-        trial: bool = False,
-    ) -> None:
-        super().__init__(parameters, image_size, trial=trial)
-        self.coefficients = coefficients
-        if coefficients not in self.COEFFICIENTS:
-            raise InputError(
-                f"Camera model fisheye624 estimates 6, 8 or 12 distortion coefficients, found {coefficients}; choose one."
-            )
 
     @classmethod
     def from_mapping(cls, parameters: Mapping[str, float], image_size: tuple[int, int]) -> "Fisheye624":
@@ -88,15 +71,11 @@ class Fisheye624(CameraModel):
         that is not level, and an ideal equidistant lens."""
         aria = [0.4, -0.42, 0.21, 0.06, -0.09, 0.023, 3e-4, -2e-4, 1.2e-3, -4e-4, -8e-4, 2e-4]
         return (
-            cls([609.3, 609.3, 714.2, 703.8, *aria], (1408, 1408)),
-            cls([285.0, 286.0, 642.1, 398.7, 0.01, -0.006, 0.0015, -0.0002, 0.0, 0.0, 2e-3, -1e-3, *([0.0] * 4)], (1280, 800), 6),
+            cls([609.3, 609.3, 714.2, 703.8, *aria], (1408, 1408), 12),
+            cls([285.0, 286.0, 642.1, 398.7, 0.01, -0.006, 0.0015, -0.0002, 0.0, 0.0, 2e-3, -1e-3, *([0.0] * 4)], (1280, 800)),
             cls([320.0, 321.0, 639.5, 479.5, -0.012, 0.004, -0.002, 2e-4, 0, 0, 0, 0, 3e-3, -5e-4, -2e-3, 4e-4], (1280, 960), 8),
             cls([400.0, 400.0, 500.0, 500.0, *([0.0] * 12)], (1001, 1001)),
         )
-
-    def with_parameters(self, parameters: Array | Sequence[float | int]) -> "Fisheye624":
-        """As of every model, with as many coefficients to estimate."""
-        return type(self)(parameters, self.image_size, self.coefficients, trial=isinstance(parameters, Tensor))
 
     def calibration_basis(self) -> Float[Tensor, "p q"]:
         """fx fy cx cy and the chosen number of distortion coefficients."""

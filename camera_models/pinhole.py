@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from camera_models._arrays import Array
+from camera_models._coefficients import WithCoefficients
 from camera_models._distortion import (
     FURTHEST_SLOPE,
     Distorted,
@@ -25,13 +25,12 @@ from camera_models._distortion import (
     solve_symmetric,
     undistort,
 )
-from camera_models._model import CameraModel
 from camera_models._radial import named_vector
 from camera_models.errors import InputError
 from camera_models.repeatable import least_squares
 
 
-class Pinhole(CameraModel):
+class Pinhole(WithCoefficients):
     """Perspective camera; zero distortion coefficients make it the ideal one."""
 
     NAME = "pinhole"
@@ -40,21 +39,6 @@ class Pinhole(CameraModel):
     OPTIONAL_TERMS = (("k1",), ("k2",), ("p1", "p2"), ("k3",), ("k4", "k5", "k6"))
     LARGEST_ANGLE = math.pi / 2
     PARAMETER_NAMES = ("fx", "fy", "cx", "cy", "skew", "k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-
-    def __init__(
-        self,
-        parameters: Array | Sequence[float | int],
-        image_size: tuple[int, int],
-        coefficients: int = 5,
-        *,
-        trial: bool = False,
-    ) -> None:
-        super().__init__(parameters, image_size, trial=trial)
-        self.coefficients = coefficients
-        if coefficients not in self.COEFFICIENTS:
-            raise InputError(
-                f"Camera model pinhole estimates 0, 5 or 8 distortion coefficients, found {coefficients}; choose one."
-            )
 
     @classmethod
     def from_mapping(cls, parameters: Mapping[str, float], image_size: tuple[int, int]) -> "Pinhole":
@@ -106,10 +90,6 @@ class Pinhole(CameraModel):
             cls([900.0, 901.0, 640.2, 480.4, 0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 0.0, -0.05, 0.0], (1280, 960), 8),
             cls([820.0, 820.0, 651.2, 470.6, 0.0, -0.21, 0.06, 1e-4, -2e-4, -0.008, 0, 0, 0], (1280, 960)),
         )
-
-    def with_parameters(self, parameters: Array | Sequence[float | int]) -> "Pinhole":
-        """As of every model, with as many coefficients to estimate."""
-        return type(self)(parameters, self.image_size, self.coefficients, trial=isinstance(parameters, Tensor))
 
     def calibration_basis(self) -> Float[Tensor, "p q"]:
         """fx fy cx cy and the chosen number of distortion coefficients; skew is held."""

@@ -38,5 +38,5 @@ def nearest_thin_prism_fisheye(values: Sequence[float], centre: tuple[float, flo
         v = y * along + 2 * p2 * x * y + p1 * (r2 + 2 * y * y) + sy1 * r2
         return np.stack([fx * u, fy * v], -1) + centre
 
-    start = Fisheye624([fx, fy, *centre, k1, k2, k3, k4, 0.0, 0.0, p2, p1, sx1, 0.0, sy1, 0.0], size)
+    start = Fisheye624([fx, fy, *centre, k1, k2, k3, k4, 0.0, 0.0, p2, p1, sx1, 0.0, sy1, 0.0], size, 12)
     return nearest_camera(Lens(radius, image, math.sqrt(fx * fy), np.array(centre), size, math.pi / 2), [start])

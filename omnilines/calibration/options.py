@@ -6,6 +6,7 @@ from typing import TypedDict
 
 from camera_models import InputError, model_class
 from camera_models.typed import require_fields
+from camera_models.wording import either
 from omnilines.calibration.thresholds import CalibrationThresholds
 
 AUTO = "auto"
@@ -24,9 +25,8 @@ class CalibrationOptions(CalibrationThresholds):
     degree: int | None = None
     """Of the polynomial of a scaramuzza camera; without it that is chosen by held-out views."""
     coefficients: int | None = None
-    """Of the distortion: of a pinhole camera 0, 5 or 8 (without it 5), of a fisheye624 6, 8 or 12 (without it 6); those that the
-    views do not support are held. From lines the fewest, or more where that predicts held-out photos better than chance makes it.
-    """
+    """Of the distortion: of a pinhole camera 0, 5 or 8 (without it 5; from lines 8 too, where that predicts held-out photos
+    better than chance makes it), of a fisheye624 6, 8 or 12 (without it 6). Those that the views do not support are held."""
     loss: str = "cauchy"
     """Plain least squares of every corner ("none"), or the loss by which those that do not fit are found ("huber", "cauchy")."""
     mirror: bool = False
@@ -73,8 +73,9 @@ class CalibrationOptions(CalibrationThresholds):
         for model in models:
             choices = () if model == AUTO else model_class(model).COEFFICIENTS
             if choices and self.coefficients not in (None, *choices):
-                wanted = f"{', '.join(map(str, choices[:-1]))} or {choices[-1]}"
-                raise InputError(f"`coefficients` of {model} was expected to be {wanted}, found {self.coefficients}; choose one.")
+                raise InputError(
+                    f"`coefficients` of {model} was expected to be {either(choices)}, found {self.coefficients}; choose one."
+                )
 
 
 class CalibrationFields(TypedDict, total=False):

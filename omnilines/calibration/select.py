@@ -247,7 +247,7 @@ def _choose(trials: Sequence[Trial], views: int, thresholds: HeldOutThresholds) 
     tied = [trial for trial, error in compared if error.as_good_as(least, thresholds.no_worse_factor)]
     chosen = min(tied, key=lambda trial: (trial.parameters, trial.held_out_px))
     figures = f"{chosen.held_out_px:.3f} px per point ({views} views, each held out in turn)"
-    left_out = [(trial, error.rms_px) for trial, error in sound if (trial, error) not in compared]
+    left_out = [(trial, error.rms_px) for trial, error in sound if all(trial is not one for one, _ in compared)]
     nearer_px = {trial.candidate.label: px for trial, px in left_out if px < least.rms_px}
     folds_within = any(not trial.monotone for trial, _ in compared)
     if chosen is best:

@@ -89,7 +89,8 @@ def calibrate(
     coefficients: Annotated[
         int | None,
         typer.Option(
-            "--coefficients", help="Distortion: of pinhole 0, 5 or 8 (5), of fisheye624 6, 8 or 12 (6); from lines as photos ask."
+            "--coefficients",
+            help="Distortion: of pinhole 0, 5 or 8 (5; from lines 8 too, as photos ask), of fisheye624 6, 8 or 12 (6).",
         ),
     ] = None,
     refine_board: Annotated[str, typer.Option("--refine-board", help="Of aspect, flatness, surface, with a comma.")] = "",

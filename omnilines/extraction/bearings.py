@@ -141,10 +141,10 @@ def _charts(model: CameraModel) -> Charts:
         place = node[..., :2] / (1.0 + np.abs(node[..., 2:]))
         shown, inside = place[own], place[_INSIDE][own[_INSIDE]]
         # Where a polynomial runs out of the image's scene, nearly all steps may be next to nothing.
-        area = float((np.ptp(shown, axis=0) + 1e-9).prod())
+        extent = np.ptp(shown, axis=0)
+        area = float((extent + 1e-9).prod())
         median = float(np.median(np.linalg.norm(np.diff(place, axis=1)[both], axis=-1)))
         between = max(median, math.sqrt(area / (_MOST_NODES * own.size)))
-        extent = np.ptp(shown, axis=0)
         while _nodes(extent, between) > _MOST_AROUND:
             between *= 2.0
         # The half sphere goes on beyond the last node of the image in it.
