@@ -188,4 +188,6 @@ def test_a_photo_whose_pose_is_rough_is_named_with_how_far_its_segments_lie() ->
     off = replace(poses, cam_from_world=Pose.exp(twists) @ poses.cam_from_world)
     (held,) = adjust(segments, off, LENS, replace(OF_TABLES, refine=("lines",), loss="cauchy")).advice
     assert "3.png (" in held.limit and held.do == "Check the poses of these photos, and their names, or refine poses."
-    assert adjust(segments, off, LENS).advice == ()
+    (moved,) = adjust(segments, off, LENS).advice
+    assert "3.png" in moved.limit and ".png" not in moved.limit.replace("3.png", ""), "no other photo was turned"
+    assert adjust(segments, poses, LENS).advice == ()
