@@ -323,7 +323,7 @@ def test_a_small_photo_of_a_room(tmp_path: Path, model: str, fov_deg: float | No
 @pytest.mark.full
 @pytest.mark.parametrize(("model", "fov_deg"), CAMERAS)
 def test_rooms(tmp_path: Path, model: str, fov_deg: float | None) -> None:
-    """The figures that are reached; the issue asks for more: docs/extraction.md."""
+    """The figures that are reached; the issue asks for more: docs/extraction_measured.md."""
     scores = room_scores(tmp_path, model, fov_deg, 3, (1280, 960), 5)
     assert scores.covered_share > 0.84
     assert scores.on_edge_share > 0.78
