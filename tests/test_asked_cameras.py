@@ -153,4 +153,4 @@ def test_figures_of_a_room_say_what_its_lines_ask_of_the_camera() -> None:
     scene = ol.reconstruct(ol.extract(made.photos, made.camera), made.poses, made.camera)
     rows, (found,) = dict(scene_summary(scene).rows), scene_data(scene)["asked_cameras"]
     assert not found["contradicted"] and found["least_px"] <= found["drift_px"] < 0.3
-    assert rows["motion of the image that lines ask for"].startswith("cam0 ")
+    assert rows["change of the calibration that lines ask for"].startswith("cam0 ")

@@ -172,6 +172,6 @@ def test_what_chance_does_not_leave_open_refuses_a_camera_of_which_lines_tell_li
     assert wrong.hardly_known and "25000" not in wrong.verdict
     assert "it is off by at least 0.25 px with 99.9 percent confidence (how much more, these photos leave open)" in wrong.verdict
     told = dict(check_summaries(wrong)[0].rows)
-    assert told["most likely, less what noise makes of it"] == "open" and told["off by at least"].startswith("0.25 px")
+    assert told["most likely off by, beyond noise"] == "open" and told["off by at least"].startswith("0.25 px")
     assert check_advice(wrong)[0].limit.startswith("The parameter ")
     assert not CheckResult(found, True, CheckOptions(), ("a.png",), (), {}).hardly_known

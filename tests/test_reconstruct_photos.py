@@ -160,7 +160,7 @@ def test_lines_of_three_photos_are_kept_where_a_corner_confirms_them(room, rebui
         assert call(room / "photos", room, out, *options, "--json") == 0
         found.append((read_lines(out / "lines.csv"), json.loads(capsys.readouterr().out)["stages"]))
     (without, before), (lines, stages) = found
-    assert [one["stage"] for one in stages[-2:]] == ["lines", "lines, with those that a corner or a plane confirms"]
+    assert [one["stage"] for one in stages[-2:]] == ["lines", "lines, with confirmed ones of one photo fewer"]
     assert before == stages[:-1] and stages[-2]["kept"] == len(without) < stages[-1]["kept"] == len(lines)
     assert lines.tracks[: len(without)] == without.tracks and (lines.views[len(without) :] == 3).all()
     np.testing.assert_array_equal(lines.ends_m[: len(without)], without.ends_m)

@@ -118,7 +118,7 @@ def test_a_scene_folder_stays_without_metres_when_it_is_adjusted(room, open_scen
     with pytest.raises(SystemExit) as stopped:
         main([str(item) for item in arguments])
     assert stopped.value.code == 0
-    assert re.search(r"median of the largest sigma .* units\n", capsys.readouterr().out)
+    assert re.search(r"uncertainty of a line across it .* units\n", capsys.readouterr().out)
     assert camera_models.load(tmp_path / "calibration.yaml").provenance["length_unit"] == "units"
 
 

@@ -63,7 +63,9 @@ def test_a_bend_is_told_with_what_it_does_to_the_camera() -> None:
     assert flat.unmodelled is not None and board_advice(flat, None, corners, compared=False)[0].limit.startswith(
         "The board is not flat"
     )
-    off_mm, moved_px, stated_px = (float(note.split(before)[1].split()[0]) for before in ("by about ", "moves by ", "than the "))
+    off_mm, moved_px, stated_px = (
+        float(note.split(before)[1].split()[0]) for before in ("by about ", "moves by ", "its stated ")
+    )
     shape = BoardShape.to_refine(("flatness",), torch.as_tensor(BOARD))
     places = shape.moved(shape.free @ BEND_M).place(torch.as_tensor(BOARD))
     design = torch.cat([places[:, :2], torch.ones_like(places[:, :1])], 1)
@@ -84,7 +86,7 @@ def test_oblong_squares_are_told_with_what_they_do_to_the_camera() -> None:
     (note,) = said(drawn)
     assert drawn.unmodelled is not None and drawn.unmodelled.size == pytest.approx(0.005, rel=0.1)
     assert drawn.unmodelled.kind == "aspect"
-    assert "percent higher beside their width" in note and "`refine_board` aspect" in note
+    assert "percent higher than wide" in note and "`refine_board` aspect" in note
     told = calibrate_camera(corners, LENS.image_size, "opencv-fisheye", refine_board=("aspect",))
     assert said(told) == []
     assert drawn.unmodelled.moved_px == pytest.approx(apart_px(drawn.model, told.model), rel=0.15)
@@ -107,7 +109,7 @@ def test_a_pupil_that_moves_is_told_with_what_it_does_to_the_camera() -> None:
     pixels = pixels + 0.02 * np.random.default_rng(1).standard_normal(pixels.shape)
     fit = calibrate_camera(replace(drawn, pixels=pixels), LENS.image_size, "opencv-fisheye")
     (note,) = said(fit)
-    assert fit.unmodelled is not None and fit.unmodelled.kind == "pupil" and "towards the scene" in note
+    assert fit.unmodelled is not None and fit.unmodelled.kind == "pupil" and "nearer to the scene" in note
     true_m = m_per_rad2 * np.radians(fit.unmodelled.reach_deg) ** 2
     assert fit.unmodelled.size == pytest.approx(true_m, rel=0.2)
     assert fit.unmodelled.moved_px == pytest.approx(apart_px(fit.model, LENS), rel=0.25)

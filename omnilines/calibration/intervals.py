@@ -32,17 +32,16 @@ def noise_notes(factor: VarianceFactor, stated_px2: float | None, thresholds: No
     """Whether the residuals bear out what is stated of the corners, or that there are few."""
     if stated_px2 is None:
         return few_notes(factor, thresholds.large_freedom)
-    stated = f"the {math.sqrt(stated_px2):.3g} px that are stated of them"
+    stated = f"as far from where the camera sees them as their stated {math.sqrt(stated_px2):.3g} px explain"
     if not factor.holds:
         return (
-            f"Corners lie {factor.ratio:.3g} times as far from where the camera sees them as {stated} (chi-square test, "
-            f"{factor.freedom:g} degrees of freedom): the standard deviations follow the residuals.",
+            f"Corners lie {factor.ratio:.3g} times {stated} (chi-square test, {factor.freedom:g} degrees of freedom): the "
+            "standard deviations follow the residuals.",
         )
     if factor.ratio is not None and factor.ratio < thresholds.well_below_share:
         return (
-            f"Corners lie {rounded(factor.ratio)} times as far from where the camera sees them as {stated}: the standard "
-            "deviations "
-            "rest on what is stated and are on the safe side.",
+            f"Corners lie only {rounded(factor.ratio)} times {stated}: the standard deviations rest on what is stated and are "
+            "on the safe side.",
         )
     return ()
 

@@ -123,11 +123,12 @@ def _uncovered(field: ImageField, corners_px: Float[Tensor, "n 2"], uncovered_sh
         return (f"No corner lies {within}.",)
     worst, *others = bare
     own = angles[of_corner == worst].tolist()
-    where = f"beyond {max(own):.0f} of {far_deg[worst]:.0f} degrees off axis" if own else "at all"
+    where = f"beyond {max(own):.0f} degrees off axis" if own else "at all"
     named = [SIDES[k] for k in others]
     listed = " and ".join(filter(None, [", ".join(named[:-1]), *named[-1:]]))
     too = f"; the {listed} rim {'lack' if len(named) > 1 else 'lacks'} corners too" if named else ""
-    return (f"No corner lies {where} at the {SIDES[worst]} rim of the image{too}.",)
+    reaches = f", which reaches to {far_deg[worst]:.0f}" if own else ""
+    return (f"No corner lies {where} at the {SIDES[worst]} rim of the image{reaches}{too}.",)
 
 
 def _side(directions: Float[Tensor, "n 2"]) -> Int[Tensor, " n"]:

@@ -55,8 +55,8 @@ LEAST_LEFT = 1e-9
 REMEDIES: dict[Kind, str] = {
     "flatness": "Give `refine_board` flatness or surface, or use a board on glass or metal.",
     "aspect": "Give `refine_board` aspect, or measure the board along both sides.",
-    "pupil": "Hold the board farther away, about where the camera will look: no camera model here holds that, and it fades with "
-    "the distance.",
+    "pupil": "Hold the board about as far away as the camera will look: no camera model here holds that, and it fades with the "
+    "distance.",
     "decentering": "Compare with `--model fisheye624`, which has terms for it (so have unified and, below 100 degrees, pinhole); "
     "`auto` compares all.",
 }
@@ -87,8 +87,8 @@ class Unmodelled:
         """What it does, one sentence."""
         return (
             f"{self._said} estimated the projection{self._of_what} moves by "
-            f"{rounded(self.moved_px)} px, more than the {rounded(self.stated_px)} px that are stated (root mean squares where "
-            "corners lie)"
+            f"{rounded(self.moved_px)} px, more than its stated {rounded(self.stated_px)} px (root mean squares where corners "
+            "lie)"
         )
 
     @property
@@ -107,7 +107,7 @@ class Unmodelled:
             more = "higher" if self.size > 0 else "lower"
             return (
                 f"The squares of the board are not as drawn: all photos agree that they are {rounded(100 * abs(self.size))} "
-                f"percent {more} beside their width. With this"
+                f"percent {more} than wide. With this"
             )
         camera = f"camera {self.camera}" if self.camera else "the camera"
         if self.kind == "decentering":
@@ -115,10 +115,10 @@ class Unmodelled:
                 f"The lens of {camera} is not centred: all photos agree that {self.reach_deg:.0f} degrees off axis it bends rays "
                 f"by up to {rounded(math.degrees(self.size))} degrees more to one side (decentering). With this"
             )
-        way = "towards the scene" if self.size > 0 else "away from the scene"
+        way = "nearer to the scene" if self.size > 0 else "farther from the scene"
         return (
-            f"The rays of {camera} do not meet in one point: all photos agree that those {self.reach_deg:.0f} degrees off axis "
-            f"meet the axis about {rounded(1e3 * abs(self.size))} mm {way}. With this"
+            f"The rays of {camera} do not meet in one point: all photos agree that rays {self.reach_deg:.0f} degrees off axis "
+            f"meet the axis about {rounded(1e3 * abs(self.size))} mm {way} than rays near it. With this"
         )
 
     @property

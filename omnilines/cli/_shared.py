@@ -34,8 +34,10 @@ app = Application(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-render_app = Application(help="Synthetic photos of targets through any camera model.", no_args_is_help=True)
-experiment_app = Application(help="The dissertation's experiments.", no_args_is_help=True)
+render_app = Application(help="Synthetic photos of targets or scenes, with the truth.", no_args_is_help=True)
+experiment_app = Application(
+    help="Studies of triangulations and costs against known truth, as in the dissertation.", no_args_is_help=True
+)
 app.add_typer(render_app, name="render")
 app.add_typer(experiment_app, name="experiment")
 
@@ -100,7 +102,7 @@ def _root(
         bool | None, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
     ] = None,
     threads: Annotated[
-        int | None, typer.Option("--threads", help="Cores to use, before the command; all that the process may.", min=1)
+        int | None, typer.Option("--threads", help="Cores to use (goes before the command); all if not given.", min=1)
     ] = None,
 ) -> None:
     """Options of the command as a whole."""

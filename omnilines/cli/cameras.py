@@ -85,19 +85,26 @@ def calibrate(
             autocompletion=model_names,
         ),
     ] = None,
-    degree: Annotated[int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial (chosen).")] = None,
+    degree: Annotated[
+        int | None, typer.Option("--degree", help="Degree of the scaramuzza polynomial; chosen if not given.")
+    ] = None,
     coefficients: Annotated[
         int | None,
         typer.Option(
             "--coefficients",
-            help="Distortion: of pinhole 0, 5 or 8 (5; from lines 8 too, as photos ask), of fisheye624 6, 8 or 12 (6).",
+            help="Distortion coefficients to estimate: pinhole 0, 5 or 8 (5; with lines also 8 if photos need it), "
+            "fisheye624 6, 8 or 12 (6).",
         ),
     ] = None,
-    refine_board: Annotated[str, typer.Option("--refine-board", help="Of aspect, flatness, surface, with a comma.")] = "",
+    refine_board: Annotated[
+        str, typer.Option("--refine-board", help="Estimate how the board differs from its drawing: aspect, flatness, surface.")
+    ] = "",
     loss: LossName = DEFAULT.loss,
     mirror: Mirror = DEFAULT.mirror,
-    boards: Annotated[str, typer.Option("--boards", help="Of a rig: several boards are fixed, known or moving.")] = "fixed",
-    calibration: Annotated[Path | None, typer.Option("--calibration", help="Of a rig: cameras to begin from.")] = None,
+    boards: Annotated[
+        str, typer.Option("--boards", help="Several boards: fixed to each other, known (tables), or moving.")
+    ] = "fixed",
+    calibration: Annotated[Path | None, typer.Option("--calibration", help="Of a rig: known cameras to begin from.")] = None,
     hold: Annotated[bool, typer.Option("--hold", help="Hold the intrinsics of --calibration.")] = False,
     time_offsets: Annotated[
         bool, typer.Option("--time-offsets", help="Of a rig of videos: estimate by how much each camera's clock is ahead.")
@@ -147,7 +154,7 @@ def guide(
     pattern: PatternSpec,
     out: Out,
     until: Annotated[
-        str | None, typer.Option("--until", help="Largest uncertainty anywhere in the image at which it ends, as 0.1px.")
+        str | None, typer.Option("--until", help="End when the largest uncertainty in the image is below this, such as 0.1px.")
     ] = None,
     model: Annotated[
         str, typer.Option("--model", help=f"{LENS_MODELS}; or auto: all are compared at the end.", autocompletion=model_names)

@@ -45,25 +45,28 @@ ScenePhotos = Annotated[
 ]
 SegmentTable = Annotated[Path, typer.Option("--segments", help="segments.csv (matched segments)", show_default=False)]
 MaybeSegments = Annotated[
-    Path | None, typer.Option("--segments", help="segments.csv: matched segments in place of photos, or unmatched ones of them.")
+    Path | None,
+    typer.Option("--segments", help="segments.csv: matched segments without photos, or unmatched ones of the photos."),
 ]
 Triangulation = Annotated[str, typer.Option("--triangulation", help="dual, averaging, svd or ml.")]
 Cost = Annotated[str, typer.Option("--cost", help="sector, whitened, taylor-kriegman or bartoli-sturm.")]
 Subset = Annotated[
     int | None,
-    typer.Option("--subset", help="Planes of the smallest subsets whose lines averaging takes (3).", show_default=False),
+    typer.Option("--subset", help="With averaging: planes in each subset whose lines are averaged (3).", show_default=False),
 ]
 Bandwidth = Annotated[
     float | None,
     typer.Option(
-        "--bandwidth", help="Of averaging's kernel, radians (the median distance of a track's samples).", show_default=False
+        "--bandwidth",
+        help="With averaging: width of its kernel, radians (the median distance of a track's samples).",
+        show_default=False,
     ),
 ]
 Weights = Annotated[
     str | None,
     typer.Option(
         "--weights",
-        help="Of the rows of dual: unit (default), published (in the file's frame) or most-likely.",
+        help="With dual: weights of its rows, unit (default), published (in the file's frame) or most-likely.",
         show_default=False,
     ),
 ]
@@ -72,7 +75,7 @@ MaybeCost = Annotated[
     typer.Option("--cost", help="sector, whitened (default), taylor-kriegman or bartoli-sturm."),
 ]
 MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or cauchy (of photos: cauchy, of segments: none).")]
-Robust = Annotated[bool, typer.Option("--robust", help="Find and leave out observations of other lines.")]
+Robust = Annotated[bool, typer.Option("--robust", help="Find segments that belong to other lines, and leave them out.")]
 PoseSigmaDeg = Annotated[
     float | None, typer.Option("--pose-sigma-deg", help="Prior on given poses that are refined: rotation, degrees.")
 ]
@@ -92,15 +95,14 @@ ScaleFrom = Annotated[
 ]
 Partition = Annotated[
     int,
-    typer.Option(
-        "--partition", help="Photos of a part in which lines and poses are adjusted (0: one piece, parts where memory asks)."
-    ),
+    typer.Option("--partition", help="Adjust in parts of so many photos (0: in one piece, or in parts where memory is short)."),
 ]
 MinViews = Annotated[
     int, typer.Option("--min-views", help="Photos that have to see a line (3 or more); one fewer where all of its arcs agree.")
 ]
 TolerancePx = Annotated[
-    float | None, typer.Option("--tolerance-px", help="Error of poses and calibration; found from the arcs where not given.")
+    float | None,
+    typer.Option("--tolerance-px", help="Slack: error of poses and calibration, pixels; found from the arcs if not given."),
 ]
 
 

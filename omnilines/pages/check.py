@@ -22,7 +22,7 @@ def check_summaries(result: CheckResult, given: Sequence[str] = ()) -> tuple[Sum
         ("probability of it by chance", f"{found.probability:.2g}"),
         ("off by at least", f"{figure(found.least_drift_px, unit='px')}, with {result.confidence}"),
         (
-            "most likely, less what noise makes of it",
+            "most likely off by, beyond noise",
             "open"
             if result.hardly_known
             else f"{figure(found.drift_px, unit='px')} (known to {figure(found.sigma_px, unit='px')})",
@@ -37,11 +37,11 @@ def check_summaries(result: CheckResult, given: Sequence[str] = ()) -> tuple[Sum
     regions = tuple(
         (
             one.name,
-            f"at least {_px(one.least_px)}; lines ask for {_px(one.drift_px)}, of which noise makes {_px(one.sigma_px)}; "
-            f"{one.edges} pieces of edges, {_px(one.rms_px)} off",
+            f"off by at least {_px(one.least_px)}; drift {_px(one.drift_px)}, its noise {_px(one.sigma_px)}; "
+            f"{one.edges} pieces of edges, {_px(one.rms_px)} from their lines",
         )
         if math.isfinite(one.drift_px)
-        else (one.name, f"the camera is not supported there; {one.edges} pieces of edges, {_px(one.rms_px)} off")
+        else (one.name, f"the model does not reach there; {one.edges} pieces of edges, {_px(one.rms_px)} from their lines")
         for one in found.regions
     )
     return (

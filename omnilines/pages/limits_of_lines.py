@@ -101,10 +101,13 @@ def _supposed(scene: Scene) -> list[Advice]:
     if not lacking:
         return []
     said = (
-        f"Uncertainties lack errors of the calibration, which states none: where it is off by {SUPPOSED_PX:g} px (RMS), "
+        f"Uncertainties lack errors of the calibration, which states none: if it is off by {SUPPOSED_PX:g} px (RMS), "
         f"{' and '.join(lacking)}, and more photos do not lower that."
     )
-    do = "Calibrate the camera with omnilines calibrate, which states its errors, or say them: `scene.calibration_error_px`."
+    do = (
+        "Calibrate the camera with omnilines calibrate, which states its errors, or state them: "
+        "`--set scene.calibration_error_px=PIXELS`."
+    )
     return [Advice(said, do)]
 
 

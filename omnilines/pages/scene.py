@@ -47,9 +47,9 @@ def _verdict(scene: Scene) -> str:
     lines = scene.lines
     weak = sum(status == "weak" for status in lines.status)
     sigma, with_supposed = scene.median_sigma_m(), sigma_with_supposed_m(scene)
-    known = "" if math.isnan(sigma) else f", half of them known to {_known_to(scene, sigma)} across or better"
+    known = "" if math.isnan(sigma) else f", half of them known across to {_known_to(scene, sigma)} or better"
     if not math.isnan(with_supposed):
-        known += f" ({_known_to(scene, with_supposed)} where the calibration is off by {SUPPOSED_PX:g} px)"
+        known += f" (to {_known_to(scene, with_supposed)} if the calibration is off by {SUPPOSED_PX:g} px)"
     faint = f"; {weak} of them {'is' if weak == 1 else 'are'} weak" if weak else ""
     photos = str(len(scene.poses)) if scene.from_photos is None else _used(scene, scene.from_photos)
     doubted = "; but they contradict the calibration" if scene.contradicted else ""
@@ -83,10 +83,10 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
         ("length of all lines", f"{float(length.sum()):.2f} {lines.unit.sign}"),
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
         ("rms_px", figure(scene.adjusted.rms_px(), ".3f")),
-        ("slack of poses and calibration", f"{of_photos.tolerance_px:g} px"),
+        ("slack for errors of poses and calibration", f"{of_photos.tolerance_px:g} px"),
         *_by_lines(scene),
-        ("bow of edges", f"{100 * of_photos.bow_share:g} percent of their length"),
-        ("median of the largest sigma of a line's ends across it", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
+        ("bow of long edges", f"{100 * of_photos.bow_share:g} percent of their length"),
+        ("uncertainty of a line across it (sigma_m, median)", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
         *_by_calibration(scene),
         ("families of parallel lines", str(len(of_photos.families.members))),
     )
@@ -98,13 +98,13 @@ def _by_calibration(scene: Scene) -> tuple[tuple[str, str], ...]:
     if scene.lines.calibration_sigma_m is None:
         return ()
     sigma, sign = scene.median_calibration_sigma_m(), scene.lines.unit.sign
-    return (("of it, for errors of the calibration", figure(sigma, ".3g", sign)),)
+    return (("of it, by errors of the calibration", figure(sigma, ".3g", sign)),)
 
 
 def _by_lines(scene: Scene) -> tuple[tuple[str, str], ...]:
     """How far lines move the image of each camera that has parameters, and what of that is noise."""
     moved = [f"{one.name} {figure(one.drift_px, '.2g')} px (noise {figure(one.sigma_px, '.2g')})" for one in scene.asked]
-    return (("motion of the image that lines ask for", ", ".join(moved)),) if moved else ()
+    return (("change of the calibration that lines ask for", ", ".join(moved)),) if moved else ()
 
 
 def _by_chance(lines: Lines) -> tuple[tuple[str, str], ...]:
@@ -112,7 +112,7 @@ def _by_chance(lines: Lines) -> tuple[tuple[str, str], ...]:
     if lines.chance_share is None:
         return ()
     count = float(np.nansum(lines.chance_share))
-    return (("of them by chance, as moved photos tell", f"about {count:.0f} ({100 * count / len(lines):.1f} percent)"),)
+    return (("of them expected to be there by chance", f"about {count:.0f} ({100 * count / len(lines):.1f} percent)"),)
 
 
 def _stage(kept: int, dropped: Sequence[tuple[str, int]]) -> str:
@@ -141,7 +141,7 @@ def _of_tables(scene: Scene) -> tuple[tuple[tuple[str, str], ...], tuple[str, ..
         ("refined", ", ".join(options.refine)),
         ("rms_px before", figure(adjusted.rms_px(before=True), ".4f")),
         ("rms_px after", figure(adjusted.rms_px(), ".4f")),
-        ("median of the largest sigma of a line's ends across it", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
+        ("uncertainty of a line across it (sigma_m, median)", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
         *_by_calibration(scene),
         ("noise of the end points", noise_row(adjusted.adjusted.noise)),
     )

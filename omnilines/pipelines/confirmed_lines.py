@@ -56,8 +56,8 @@ def with_confirmed(
     number[rows] = first + np.arange(len(rows))
     own = np.where(kept.segments.track >= 0, kept.segments.track, number[more.row])
     segments = replace(kept.segments, track=own, tracks=table.tracks)
-    dropped = counted([("of one photo fewer, confirmed by no corner and no plane", len(confirmed) - len(rows))])
-    stage = StageCount("lines, with those that a corner or a plane confirms", len(table), dropped)
+    dropped = counted([("of one photo fewer, not confirmed", len(confirmed) - len(rows))])
+    stage = StageCount("lines, with confirmed ones of one photo fewer", len(table), dropped)
     return replace(
         kept,
         scene=replace(kept.scene, lines=table),

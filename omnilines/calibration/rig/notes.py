@@ -111,7 +111,7 @@ def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[s
         return few_notes(outcome.factor, thresholds.large_freedom)
     told = []
     for member, noise in zip(members, outcome.data.noise, strict=True):
-        stated = f"from where it sees them as the {noise.stated_px:.3g} px that are stated of them"
+        stated = f"from where it sees them as their stated {noise.stated_px:.3g} px explain"
         if noise.sigma_px > noise.stated_px:
             told.append(
                 f"Camera {member.name}: corners lie {noise.sigma_px / noise.stated_px:.3g} times as far {stated} (chi-square "
@@ -119,7 +119,7 @@ def _noise_notes(outcome: RigOutcome, members: tuple[RigMember, ...]) -> tuple[s
             )
         elif noise.found_px < thresholds.well_below_share * noise.stated_px:
             told.append(
-                f"Camera {member.name}: corners lie {rounded(noise.found_px / noise.stated_px)} times as far {stated}: they "
+                f"Camera {member.name}: corners lie only {rounded(noise.found_px / noise.stated_px)} times as far {stated}: they "
                 "count in the rig as little as is stated, and the standard deviations are on the safe side."
             )
     return tuple(told)
