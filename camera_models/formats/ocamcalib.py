@@ -141,13 +141,13 @@ def _camera(ocam: dict[str, list[float]], size: tuple[int, int], where: str) -> 
     off_px, near_deg = compare(poly, ocam["inv_poly"], 0.5 * min(size), _DISAGREE_PX)
     if off_px <= _DISAGREE_PX:
         return model, []
-    but, do = "", "check which of them is right"
+    agrees, do = "", "check which of them is right"
     if near_deg is not None:
-        but = f", but from {near_deg[0]:.0f} to {near_deg[1]:.0f} degrees off axis,"
+        agrees = f" (they agree from {near_deg[0]:.0f} to {near_deg[1]:.0f} degrees off axis only)"
         do = "check which of them is right, or keep to these angles"
     return model, [
-        f"The inverse polynomial of {where} differs from the direct one{but} by up to {off_px:.3g} px; the direct one is taken; "
-        f"{do}."
+        f"The inverse polynomial of {where} differs from the direct one by up to {off_px:.3g} px{agrees}. The direct one is "
+        f"used; {do}."
     ]
 
 
