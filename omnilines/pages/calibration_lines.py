@@ -29,7 +29,7 @@ def line_calibration_summaries(result: LineResult) -> tuple[Summary, ...]:
         ("edges used", f"{sum(p.straight for p in used)} of {sum(p.chains for p in fit.photos)}"),
         ("edges along a direction", f"{sum(photo.members for photo in used)}"),
         *_of_boards(result),
-        ("rms_px across edges, all pieces alike", figure(fit.rms_px, ".4f")),
+        ("rms_px of edges from their lines", figure(fit.rms_px, ".4f")),
         ("field of view supported by the data", f"{fit.min_angle_deg:.1f} to {fit.max_angle_deg:.1f} degrees off axis"),
         ("projection uncertainty in it", f"{figure(median, unit='px')} (median), {figure(largest, unit='px')} (worst)"),
     )
