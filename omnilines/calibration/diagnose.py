@@ -111,9 +111,9 @@ def coverage_notes(model: CameraModel, pixels: Float[Tensor, "n 2"], image_size:
     notes: tuple[str, ...] = ()
     if has_blind_centre(model, pixels):
         notes = (
-            f"No corner lies within {float(radius.min()):.0f} px of the centre: the calibration is extrapolated there, and single "
-            "parameters, which describe the centre, say little by themselves. Add photos with the board in the middle, unless a "
-            "mirror shows the camera there.",
+            f"No corner lies within {float(radius.min()):.0f} px of the centre: the calibration is extrapolated there, and "
+            "single parameters, which describe the centre, say little by themselves. Add photos with the board in the middle, "
+            "unless a mirror shows the camera there.",
         )
     if float(radius.max()) < 2 / 3 * shorter:
         notes += (

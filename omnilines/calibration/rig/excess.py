@@ -54,8 +54,8 @@ class Apart:
 def excess_note(
     data: RigData, fit: RigFit, solution: Solution[RigState], held: Collection[int], thresholds: RigThresholds
 ) -> str | None:
-    """One sentence on what differs between the cameras together and each alone; None where nothing stands out. `held` are members
-    whose calibration is held."""
+    """What differs between the cameras together and each alone, a sentence for each cause; None where nothing stands out. `held`
+    are members whose calibration is held."""
     points, state = fit.points.chosen(fit.kept), solution.state
     steps, alone_px = _steps(data, fit, solution, held)
     chain = [solution.cost, *(step.cost for step in steps)]
@@ -65,14 +65,14 @@ def excess_note(
         and gain > thresholds.clear_gain * step.freed * step.cost / (2 * len(points.view))
         for gain, step in zip(gains, steps, strict=True)
     ]
-    shares = [f"{100 * gain / sum(gains):.0f} percent {step.cause}" for gain, step in zip(gains, steps, strict=True)]
+    shares = [
+        f"{100 * gain / sum(gains):.0f} percent of the difference in squares {step.cause}."
+        for gain, step in zip(gains, steps, strict=True)
+    ]
     told = [share for share, is_named in zip(shares, named, strict=True) if is_named]
     if not told:
         return None
-    return (
-        f"Together the cameras fit to {_rms_px(state.residual_px(points)):.3g} px per point; {alone_px}. Of the "
-        f"difference (in squares) {'; '.join(told)}."
-    )
+    return f"Together the cameras fit to {_rms_px(state.residual_px(points)):.3g} px per point, {alone_px}. {' '.join(told)}"
 
 
 @dataclass(frozen=True)
@@ -94,39 +94,38 @@ def _steps(data: RigData, fit: RigFit, solution: Solution[RigState], held: Colle
         steps.append(_Step(refined[1].cost, freed, OF_HELD.format(f"{_rms_px(state.residual_px(points)):.3g}")))
     bent = _bent(data, fit, state)
     if bent is not None:
-        state, before = bent.state, "with the board bent and "
+        state, before = bent.state, " on a bent board"
         steps.append(_Step(bent.cost, state.shape.free.shape[1], _of_board(state, points)))
     posed, free = (apart(data, points, state, hold=hold) for hold in (True, False))
     steps.append(_Step(posed.cost, posed.freed, _of_poses(posed)))
     steps.append(_Step(free.cost, sum(basis.shape[1] for basis in data.bases), OF_PARAMETERS))
-    return steps, f"{before}each alone they would to {_rms_px(torch.cat(free.residual_px)):.3g}"
+    return steps, f"each alone{before} to {_rms_px(torch.cat(free.residual_px)):.3g}"
 
 
 OF_HELD = (
-    "is what is held of the cameras: with their parameters refined they fit to {} px together (leave `hold` out, or give a "
-    "calibration of the same focus and zoom)"
+    "is what is held of the cameras: with their parameters refined they fit to {} px together. Leave `hold` out, or give a "
+    "calibration of the same focus and zoom"
 )
 OF_PARAMETERS = (
-    "is the cameras' parameters, which alone are others than together: the model does not suit the lens, or few views leave it "
-    "open"
+    "is the cameras' parameters, which differ between the cameras alone and together: the model does not suit the lens, or few "
+    "views leave it open"
 )
 
 
 def _of_board(bent: RigState, points: RigPoints) -> str:
     return (
-        "is a board that is not flat: estimated, its surface leaves a plane by up to "
-        f"{rounded(1e3 * bent.shape.off_plane_m(points.board_m))} mm, and the cameras fit to "
-        f"{_rms_px(bent.residual_px(points)):.3g} px "
-        "together (give `refine_board` surface, or a board on glass or metal: all photos share it, so that standard deviations "
-        "do not hold it)"
+        "is a board that is not flat: its surface leaves a plane by up to "
+        f"{rounded(1e3 * bent.shape.off_plane_m(points.board_m))} mm. With the surface estimated the cameras fit to "
+        f"{_rms_px(bent.residual_px(points)):.3g} px together: give `refine_board` surface, or a board on glass or metal (all "
+        "photos share this error, so that standard deviations do not hold it)"
     )
 
 
 def _of_poses(held: Apart) -> str:
     return (
         f"is the board's pose, which differs between cameras by {rounded(1e3 * float(held.moved_m.median()))} mm and "
-        f"{rounded(float(held.turned_deg.median()))} degrees in the median view: it moved between two shutters, or bent anew in "
-        "every view (hold it still, or fix it to something)"
+        f"{rounded(float(held.turned_deg.median()))} degrees in the median view: the board moved between two shutters, or bent "
+        "anew in every view. Hold it still, or fix it to something"
     )
 
 
