@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,9 +11,10 @@ import pytest
 from table_checks import read_npz
 
 import omnilines as ol
-from camera_models import OpenCVFisheye, Pinhole
+from camera_models import Calibration, Equirectangular, OpenCVFisheye, Pinhole
 from omnilines.cli import main
 from omnilines.commands.directions import directions
+from omnilines.pages.limits_of_lines import directions_advice
 from omnilines.structure.circles import Circles
 from omnilines.structure.manhattan import manhattan_frame
 from omnilines.structure.meeting import largest_sigma, line_weights, meeting_directions
@@ -242,6 +244,20 @@ def test_command_tells_the_vertical_alone(room: Path, tmp_path: Path, capsys: py
         assert photo["directions"][0]["name"] == "up" and math.degrees(math.acos(min(1, up @ true[photo["image"]][:, 2]))) < 0.2
     found = ol.read_poses(tmp_path / "out" / "poses.csv")
     assert found.images == tuple(photo["image"] for photo in seen)
+
+
+def test_lines_that_stray_are_said_to_be_the_calibrations_where_there_is_one(room: Path) -> None:
+    """A stitched panorama has none: `omnilines check` refuses it."""
+    found = ol.directions(ol.extract(room, ol.load(room / "calibration.yaml")), orthogonal=True)
+    assert not any("Lines differ" in one.limit for one in directions_advice(found))
+    crooked = tuple(replace(one, meeting=replace(one.meeting, stray_rad=0.02)) for one in found.photos)
+    panorama = Calibration({"cam0": Equirectangular((), (400, 200))})
+    lens, stitched = (
+        directions_advice(replace(found, photos=crooked, arcs=replace(found.arcs, cameras=cameras)))[-1]
+        for cameras in (found.arcs.cameras, panorama)
+    )
+    assert lens.limit == stitched.limit and lens.limit.startswith("Lines differ from their direction by 1.1 degrees")
+    assert "omnilines check" in lens.do and "omnilines check" not in stitched.do and "no calibration" in stitched.do
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 import torch
@@ -35,6 +35,14 @@ MANY_TIMES = 10
 """The photos at hand, of the same kind: so many more are not asked for."""
 TO_REFINE = "`refine` lines,poses"
 CHECK_IT = "Check the calibration with the same photos: omnilines check."
+NOTHING_TO_CHECK = (
+    "Stitched panoramas have no calibration to check: give the images of the single lenses with theirs, where there are such."
+)
+
+
+def _check_it(cameras: Iterable[CameraModel]) -> str:
+    """How to check the calibration, where there is one."""
+    return CHECK_IT if any(camera.CALIBRATED for camera in cameras) else NOTHING_TO_CHECK
 
 
 def scene_advice(scene: Scene) -> tuple[Advice, ...]:
@@ -52,7 +60,7 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
     # Of matched segments, advice names photos at fault: until they are put right, residuals say nothing of the calibration.
     single = scene.from_photos is None and bool(scene.advice)
     if noise.stated and not noise.holds and noise.measured > WORTH_SAYING and not single:
-        do = CHECK_IT if refined else f"Try {TO_REFINE}."
+        do = _check_it(scene.cameras.cameras.values()) if refined else f"Try {TO_REFINE}."
         limit = (
             f"Arcs lie {rounded(noise.measured)} times as far from their lines as their noise lets expect: poses "
             f"or calibration are off."
@@ -281,8 +289,8 @@ def directions_advice(found: PhotoDirections) -> tuple[Advice, ...]:
             said = (
                 f"Lines differ from their direction by {rounded(stray)} degrees (median) beyond what their arcs' noise explains."
             )
-            do = f"{CHECK_IT} Where it holds, what was photographed is that crooked."
-            told.append(Advice(said, do))
+            check = _check_it(found.arcs.cameras[one.arcs.camera] for one in some)
+            told.append(Advice(said, f"{check} If that is not the cause, what was photographed is not more parallel."))
     return tuple(told)
 
 
