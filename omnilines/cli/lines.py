@@ -77,10 +77,12 @@ MaybeCost = Annotated[
 MaybeLoss = Annotated[str | None, typer.Option("--loss", help="none, huber or cauchy (of photos: cauchy, of segments: none).")]
 Robust = Annotated[bool, typer.Option("--robust", help="Find segments that belong to other lines, and leave them out.")]
 PoseSigmaDeg = Annotated[
-    float | None, typer.Option("--pose-sigma-deg", help="Prior on given poses that are refined: rotation, degrees.")
+    float | None,
+    typer.Option("--pose-sigma-deg", help="How well given poses that are refined are known: rotation, degrees (a prior)."),
 ]
 PoseSigmaM = Annotated[
-    float | None, typer.Option("--pose-sigma-m", help="Prior on given poses that are refined: position, metres.")
+    float | None,
+    typer.Option("--pose-sigma-m", help="How well given poses that are refined are known: position, metres (a prior)."),
 ]
 Device = Annotated[str, typer.Option("--device", help="cpu or cuda: where lines are triangulated and adjusted.")]
 Refine = Annotated[str, typer.Option("--refine", help="lines, with any of poses, intrinsics, rig.")]

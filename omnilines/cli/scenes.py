@@ -88,7 +88,7 @@ def rectify(
     pitch_deg: Annotated[float, typer.Option("--pitch-deg", help="Turn upwards, degrees.")] = 0.0,
     distance_m: Annotated[
         float | None,
-        typer.Option("--distance-m", help="Of a rig: how far away what its cameras see together is (far), metres."),
+        typer.Option("--distance-m", help="Of a rig: distance at which things are seen once, not doubled, metres (far)."),
     ] = None,
     upright: Annotated[
         bool, typer.Option("--upright", help="Turn photos level by the vertical that their lines show; --yaw-deg is from there.")
