@@ -128,9 +128,9 @@ def _other_lines(scene: Scene) -> list[Advice]:
         return []
     said = (
         f"{count} of {every} observations lie farther from their line than {100 * (1 - chance):g} percent should, where chance "
-        f"makes {rounded(chance * every)}: they are of other lines, or matched badly, and move those that they are taken for."
+        f"makes {rounded(chance * every)}: they belong to other lines, and draw their line away."
     )
-    return [Advice(said, "Find observations of other lines and leave them out: `robust`.")]
+    return [Advice(said, "Give `robust`, which finds observations of other lines and leaves them out.")]
 
 
 def _farthest_apart(scene: Scene) -> tuple[str, str]:

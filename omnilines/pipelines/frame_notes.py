@@ -8,16 +8,16 @@ from omnilines.adjustment.scene import AdjustedScene
 from omnilines.pipelines.options import SceneOptions
 
 OF_GIVEN = (
-    "The scene lies, is turned and is as large as the given poses as a whole say: lines do not better these, and uncertainties "
-    "are stated in that frame."
+    "Place, turn and size of the scene are those of the given poses as a whole, which lines cannot improve. Uncertainties are "
+    "stated in that frame."
 )
 OF_GIVEN_AND_RIG = (
-    "The scene lies and is turned as the given poses as a whole say, and is as large as the rig says: lines do not better these, "
-    "and uncertainties are stated in that frame."
+    "Place and turn of the scene are those of the given poses as a whole, and its size is that of the rig: lines cannot improve "
+    "these. Uncertainties are stated in that frame."
 )
 OF_PRIOR = (
-    "The given poses hold the refined ones with the standard deviations of their prior: place, turn and size of the scene are as "
-    "uncertain as these say, which is in the uncertainties."
+    "The refined poses are held near the given ones by the standard deviations of the prior. Uncertainties hold that place, turn "
+    "and size of the scene are only known so well."
 )
 
 
@@ -48,6 +48,6 @@ def frame_notes(scene: AdjustedScene, prior: KnownPoses | None, options: SceneOp
         return (OF_PRIOR,)
     return (
         OF_PRIOR,
-        f"Lines draw {drawn} farther from the given poses than their prior lets expect: the prior is too strict, or "
-        "lines are off by a calibration that is, and uncertainties are too small.",
+        f"Lines draw {drawn} farther from the given poses than the prior lets expect, so that uncertainties are too small: the "
+        "prior is too strict, or the calibration is off.",
     )
