@@ -234,7 +234,9 @@ def _with_boards(
     )
     fit = line_camera(done, arcs.images, lines.adjustment)
     low, high = min(fit.min_angle_deg, boards.fit.min_angle_deg), max(fit.max_angle_deg, boards.fit.max_angle_deg)
-    fit = replace(fit, min_angle_deg=low, max_angle_deg=high, notes=(*boards.notes, *doubts, *fit.notes))
+    # What they say of the camera (a term held at 0, standard deviations) is not so of the one adjusted to lines too.
+    of_boards = [f"From corners alone: {note}" for note in boards.notes]
+    fit = replace(fit, min_angle_deg=low, max_angle_deg=high, notes=(*of_boards, *doubts, *fit.notes))
     inputs = {**boards.found.inputs, "photos": photo_folder(refs), "lines": True, "model": model.NAME}
     rim = seen_rim_px(refs, fit.model, fit.pixels)
     chosen = chosen_trial([trial], options.held_out)
