@@ -40,6 +40,7 @@ def room(tmp_path_factory):
         (("--tolerance-px", "0"), "poses.csv", "--tolerance-px above 0"),
         (("--pattern", "checkerboard:8x6:30mm"), "poses.csv", "--pattern counts only with --poses boards"),
         ((), "nowhere", "--poses was expected to be"),
+        ((), "poses_2.csv", "poses_2.csv', and no file or folder is there; check the path"),
         ((), "rig", "rig"),
         (("--refine", "walls"), "poses.csv", "--refine was expected"),
         (("--pose-sigma-deg", "1"), "poses.csv", "counts only with --refine poses, of a table or a model"),

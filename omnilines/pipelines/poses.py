@@ -91,7 +91,7 @@ def require_source(source: str, pattern: str | None, body: Path | None = None) -
     elif not (from_photos(source) or Path(source).is_dir() or Path(source).is_file()):
         raise InputError(
             f"`poses` was expected to be a poses.csv, a corners.csv, a COLMAP model's folder, {TITLES}, or one of "
-            f"{', '.join((*SOURCES, SHEET))}, found '{source}'."
+            f"{', '.join((*SOURCES, SHEET))}, found '{source}', and no file or folder is there; check the path."
         )
     require_body(source, body)
 
