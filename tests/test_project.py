@@ -20,6 +20,7 @@ import omnilines.files.corners
 import omnilines.files.lines
 import omnilines.files.poses
 import omnilines.files.segments
+from calib_patterns import pattern
 from camera_models.formats.calibration_data import SIGN_SOURCES
 from omnilines.cli import app
 from omnilines.records import LINE_STATUSES
@@ -73,6 +74,18 @@ def test_commands_written_in_the_documents_exist() -> None:
         known = {option for parameter in COMMANDS[names[0]].params for option in parameter.opts}
         given = set(re.findall(r"(?<=\s)--[a-z-]+", call))
         assert given <= known, f"{call}: {given - known}"
+
+
+def test_targets_written_in_the_documents_can_be_given() -> None:
+    """Whole specifications in code, such as `checkerboard:8x6:30mm`; forms as `aprilgrid:NXxNY:...` are no specifications."""
+    written = {
+        found.rstrip(".:,")
+        for path in DOCUMENTS
+        for found in re.findall(r"(?<![\w-])(?:checkerboard|charuco|aprilgrid):\d[\w.:=]*", path.read_text())
+    }
+    assert len(written) > 5
+    for specification in sorted(written):
+        pattern(specification)
 
 
 def test_tests_leave_no_folders_behind() -> None:
