@@ -22,7 +22,14 @@ from omnilines.calibration.diagnose import (
     tilt_notes,
 )
 from omnilines.calibration.initialise import BoardPoints
-from omnilines.calibration.intervals import SHARE, camera_intervals, linear_intervals, noise_notes, stated_variance_px2
+from omnilines.calibration.intervals import (
+    SHARE,
+    camera_intervals,
+    linear_intervals,
+    noise_notes,
+    reaching_to,
+    stated_variance_px2,
+)
 from omnilines.calibration.model_misfit import ModelMisfit, model_misfit
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.result import CameraCalibration
@@ -64,8 +71,14 @@ def camera_result(
     basis: Float[Tensor, "p q"],
     floor: tuple[BoardProblem, Sequence[Solution[CameraAndBoards]]],
     notes: tuple[str, ...],
+    every: Float[Tensor, " p"],
 ) -> CameraCalibration:
-    """`floor` is the problem along all columns and its minima, first the one that `solution` refines."""
+    """`floor` is the problem along all columns and its minima, first the one that `solution` refines; `every` are the parameters
+    with all terms free, also where `solution` holds some at 0.
+
+    Intervals are about `every`: which terms are held follows from the same noise as the rest, so intervals of the same length
+    about the estimate would hold less than they say. They reach to the estimate where they would not hold it.
+    """
     state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
     unit, q = _unit_covariance(final, solution, basis), basis.shape[1]
     stated = stated_variance_px2(corners, final.rows, thresholds.noise.corner_floor_px)
@@ -89,12 +102,13 @@ def camera_result(
     everywhere = np.isin(corners.view, final.views)
     residual[everywhere] = state.residual_px(board_points(corners, everywhere, final.views)).numpy()
     curved = camera_intervals(problem, minima[0], minima[1:], certain.factor)
-    intervals = linear_intervals(model.parameters, covariance, certain.factor.sigmas(SHARE))
+    intervals = linear_intervals(every, covariance, certain.factor.sigmas(SHARE))
     if curved is not None:
         # The profile knows nothing of what leaving out views adds.
         before = (basis @ unit[:q, :q] @ basis.mT * certain.factor.value).diagonal().clamp_min(1e-300)
         wider = (covariance.diagonal() / before).clamp_min(1.0).sqrt()
-        intervals = model.parameters[:, None] + (curved - model.parameters[:, None]) * wider[:, None]
+        intervals = every[:, None] + (curved - every[:, None]) * wider[:, None]
+    intervals = reaching_to(intervals, model.parameters)
     low, high = supported_angles_deg(model, final.points.pixels)
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
     misfit = _misfit(final, model, residual)

@@ -62,6 +62,11 @@ def linear_intervals(model_values: Float[Tensor, " p"], covariance: Float[Tensor
     return torch.stack([model_values - half, model_values + half], -1)
 
 
+def reaching_to(intervals: Float[Tensor, "p 2"], values: Float[Tensor, " p"]) -> Float[Tensor, "p 2"]:
+    """The intervals, longer to one side where they would not hold these values."""
+    return torch.stack([torch.minimum(intervals[:, 0], values), torch.maximum(intervals[:, 1], values)], -1)
+
+
 def camera_intervals(
     problem: BoardProblem,
     chosen: Solution[CameraAndBoards],

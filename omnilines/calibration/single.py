@@ -124,10 +124,11 @@ def calibrate_from_fit(
         )
         basis = basis_without(basis, held)
         solution = BoardProblem(final.points, basis, final.weight, shape).solve(solution.state, callback=callback)
-    elif hold_unsupported and solution.outcome is Outcome.CONVERGED:
+    every = solution.state.model.parameters
+    if held is None and hold_unsupported and solution.outcome is Outcome.CONVERGED:
         solution, held_terms = without_unsupported_terms(problem, solution, thresholds.held_out)
         notes += held_terms
-    return camera_result(final, solution, basis, (problem, minima), notes)
+    return camera_result(final, solution, basis, (problem, minima), notes, every)
 
 
 def robust_camera(

@@ -2,8 +2,9 @@
 
 With few views or a narrow lens the terms of a model make up for one another: they grow to values that say nothing of the lens
 (k1 = 3, k2 = -20, k3 = 70) and bend the image beyond the data. Of the last term of the model, the last two, and so on, those are
-left out without which the held-out error is least. The covariance stays that of all terms: so uncertain they are, and leaving
-them out makes no parameter better known than the data do. With many corners for each parameter nothing is left out.
+left out without which the held-out error is least. The covariance and the intervals stay those of all terms: so uncertain they
+are, and leaving them out makes no parameter better known than the data do. With many corners for each parameter nothing is left
+out.
 """
 
 from dataclasses import replace
@@ -52,7 +53,8 @@ def without_unsupported_terms(
     at = problem.solve(found.state, max_iterations=0)
     note = (
         f"The distortion {' '.join(held)} is held at 0: each view is predicted by the others no worse without it "
-        f"({error.rms_px:.3f} px per point; with it {with_all.rms_px:.3f}). The standard deviations are those with it free."
+        f"({error.rms_px:.3f} px per point; with it {with_all.rms_px:.3f}). The standard deviations and 95 percent "
+        "intervals are those with it free."
     )
     return replace(at, outcome=found.outcome, iterations=solution.iterations + found.iterations), (note,)
 
