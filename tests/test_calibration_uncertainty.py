@@ -154,6 +154,23 @@ def test_leverage_adds_up_and_says_what_a_view_decides():
     assert abs(float(lost.trace()) / basis.shape[1] - float(shares[3])) < 1e-9
 
 
+def test_a_corner_by_itself_tells_nothing_of_the_camera():
+    """As at the rim of a camera of a rig that sees the rest of the board with another: its pose takes all that one or two corners
+    tell. In one of a thousand views rounding made it seem determined, and what was left were numbers of any size and sign."""
+    truth, views = LENSES["opencv-fisheye"], 200
+    poses = board_views(truth, REACH_DEG, views, 4)
+    corners, state = board_corners(truth, poses, 0.3, 1), CameraAndBoards(truth, poses)
+    count = len(BOARD)
+    for k in range(count - 1):
+        for few in ([k], [k, k + 1]):
+            points = board_points(corners, np.isin(np.arange(len(corners)) % count, few), list(range(views)))
+            problem = BoardProblem(points, truth.calibration_basis())
+            told = problem.by_views(state).matrix
+            own = points.cells.gram(problem.linearise(state).by_kept[0]).diagonal(dim1=1, dim2=2)
+            scale = own.clamp_min(1e-300).rsqrt()
+            assert float((told * scale[:, :, None] * scale[:, None]).abs().max()) < 1e-9
+
+
 def test_one_tilt_axis_is_named():
     lens = LENSES["opencv-fisheye"]
     rng = np.random.default_rng(2)

@@ -13,7 +13,7 @@ from camera_models.pose import Pose, hat
 from omnilines.calibration.board_shape import AS_DRAWN, BoardShape
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.least_squares import KeptGroup, Linearisation, Loss, Progress, Solution, Structure, solve
-from omnilines.least_squares.groups import Groups
+from omnilines.least_squares.groups import OPEN, Groups
 from omnilines.least_squares.variance import NORMAL_MAD
 
 
@@ -78,10 +78,16 @@ class BoardProblem:
         at = self.linearise(state)
         gram = self.points.cells.gram(torch.cat([at.by_eliminated, *at.by_kept, at.residual[..., None]], -1))
         own, coupling, rest = gram[:, :6, :6], gram[:, :6, 6:], gram[:, 6:, 6:]
-        eliminated, singular = torch.linalg.solve_ex(own, coupling)
-        # Corners in a heap leave a pose open: it takes no part along what they do not tell.
-        if (heaps := singular != 0).any():
-            eliminated[heaps] = torch.linalg.pinv(own[heaps], hermitian=True) @ coupling[heaps]
+        scale = own.diagonal(dim1=1, dim2=2).clamp_min(1e-300).rsqrt()
+        value, vector = torch.linalg.eigh(own * scale[:, :, None] * scale[:, None])
+        known = value > OPEN * value[:, -1:].clamp_min(1e-300)
+        eliminated, _ = torch.linalg.solve_ex(own, coupling)
+        # A corner or two, or corners in a heap, leave a pose open: it takes no part along what they do not tell. Rounding hides
+        # that, and a pose solved for all the same makes numbers of any size and sign.
+        if (open_ones := ~known.all(1)).any():
+            along = scale[open_ones, :, None] * vector[open_ones]
+            inverse = torch.where(known, 1 / value, 0.0)[open_ones]
+            eliminated[open_ones] = along @ (inverse[..., None] * (along.mT @ coupling[open_ones]))
         reduced = rest - coupling.mT @ eliminated
         return Groups(reduced[:, :-1, :-1], -reduced[:, :-1, -1])
 
