@@ -12,7 +12,8 @@ with the information P of what is known of the camera, and of right angles, befo
 (the sandwich of P. J. Huber, 1967, by clusters: K.-Y. Liang and S. L. Zeger, 1986), each square raised by what the fit hides of
 its error (`leverage.py`). Chains of a photo may err together too: blur,
 a building that is not quite at right angles. Few photos do not tell a matrix; but they tell by how much, over all camera
-parameters, the scores of photos are larger than independent chains explain, and that factor raises the covariance.
+parameters, the scores of photos are larger than independent chains explain, and that factor raises the covariance; and along
+which directions they scatter by more still (`photo_scatter.py`).
 """
 
 from dataclasses import dataclass, replace
@@ -23,6 +24,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from omnilines.calibration.lines.leverage import correction as leverage_correction
+from omnilines.calibration.lines.photo_scatter import raised_along
 from omnilines.calibration.lines.problem import CameraAndCircles, LineProblem
 from omnilines.least_squares.schur import normal_equations, reduce
 
@@ -130,7 +132,7 @@ class LineScores:
     @property
     def covariance_of_lines(self) -> Float[Tensor, "q q"]:
         """Of the score, without what was known of the camera itself."""
-        return self._of_chains * max(1.0, self.photo_factor) + self.angles_before
+        return self._of_lines + self.angles_before
 
     def freedom_of_lines(self, precision: Float[Tensor, "q q"]) -> float:
         """By which the scatter of chains tells the covariance of the score, whose inverse is `precision`. With the share A_c of
@@ -140,7 +142,7 @@ class LineScores:
         trace = share.diagonal(dim1=-2, dim2=-1).sum(-1)
         scatter = (self.times * (trace.square() + (share * share.mT).sum((-2, -1)))).sum()
         # Points state their noise too small or too large; by how much, chains tell.
-        scatter *= ((precision * self._of_chains).sum() * max(1.0, self.photo_factor) / trace.sum().clamp_min(1e-300)).square()
+        scatter *= ((precision * self._of_lines).sum() / trace.sum().clamp_min(1e-300)).square()
         return self.camera * (self.camera + 1) / max(float(scatter), 1e-12)
 
     @cached_property
@@ -165,9 +167,17 @@ class LineScores:
         return self.of_camera.mT @ (self.of_camera * (self.times * self.correction)[:, None])
 
     @cached_property
+    def _of_lines(self) -> Float[Tensor, "q q"]:
+        """The same, raised by what chains of one photo have in common."""
+        precision = pseudo_inverse(self._of_chains)
+        of_chain = ((self.of_camera @ precision) * self.of_camera).sum(-1) * self.times * self.correction
+        shares = of_chain.new_zeros(self.photos).index_add_(0, self.photo, of_chain)
+        return raised_along(self._of_chains, self.by_photo, shares)
+
+    @cached_property
     def score_covariance(self) -> Float[Tensor, "q q"]:
-        """Of the total: that of chains, times the factor of photos, and that of what is known before."""
-        return self._of_chains * max(1.0, self.photo_factor) + self.known_before
+        """Of the total: that of chains as photos scatter, and that of what is known before."""
+        return self._of_lines + self.known_before
 
     @cached_property
     def photo_factor(self) -> float:
