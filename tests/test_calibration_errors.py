@@ -242,8 +242,8 @@ def test_what_exact_cameras_leave_out_is_told(refine: tuple[str, ...]) -> None:
     of_places = replace(exact, supposed=replace(exact.supposed, of_photos=3.0))
     assert "places of photos are 3 times as uncertain" in scene_advice(of_places)[0].limit
     with_them = length(exact.supposed.of_lines * exact.median_sigma_m(), exact.lines.unit)
-    assert f"({with_them} where the calibration is off by 0.5 px)" in str(scene_summary(exact).verdict)
-    assert "where the calibration" not in str(scene_summary(half).verdict)
+    assert f"(to {with_them} if the calibration is off by 0.5 px)" in str(scene_summary(exact).verdict)
+    assert "if the calibration" not in str(scene_summary(half).verdict)
 
 
 @pytest.mark.slow

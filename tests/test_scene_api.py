@@ -210,7 +210,7 @@ def test_a_prior_that_lines_contradict_is_told(found: PhotoArcs, poses: ImagePos
     options = SceneOptions(refine=("lines", "poses"), rounds=RoundOptions(min_rounds=1, max_rounds=1))
     pulled = reconstruct(found, given, cameras["cam0"], options, pose_sigma=(math.radians(0.02), 0.001))
     (told,) = [one for one in pulled.told if "Lines draw" in one]
-    assert f"{poses.images[2]} farther from the given poses than their prior lets expect" in told
+    assert f"{poses.images[2]} farther from the given poses than the prior lets expect" in told
 
 
 @pytest.mark.slow
