@@ -6,6 +6,7 @@ from drawn_chains import FISHEYE, OPTIONS, true_chains
 from torch import Tensor
 
 from omnilines.calibration.lines.photo_scatter import raised_along
+from omnilines.calibration.lines.scores import LEAST_SHARE
 from omnilines.geometry.chains import Chains
 from omnilines.pipelines.line_camera import adjusted_camera
 
@@ -22,7 +23,7 @@ def drawn(photos: int, size: int, seed: int, along: float = 1.0) -> tuple[Tensor
 def raised(chains: Tensor, by_photo: Tensor, shares: Tensor) -> Tensor:
     """Variances in units of those by chains, in order."""
     root = torch.linalg.cholesky(chains)
-    half = torch.linalg.solve_triangular(root, raised_along(chains, by_photo, shares), upper=False)
+    half = torch.linalg.solve_triangular(root, raised_along(chains, by_photo, shares, LEAST_SHARE), upper=False)
     return torch.linalg.eigvalsh(torch.linalg.solve_triangular(root, half.mT, upper=False))
 
 
@@ -47,7 +48,7 @@ def test_one_photo_that_says_all_tells_no_scatter() -> None:
     out = raised(chains * weight.sum() / 12, by_photo * weight.sqrt()[:, None], shares * weight)
     assert float(out[-1]) == pytest.approx(float(out[0]), rel=1e-6)
     nothing = torch.zeros_like(chains)
-    assert torch.equal(raised_along(nothing, 0 * by_photo, 0 * shares), nothing)
+    assert torch.equal(raised_along(nothing, 0 * by_photo, 0 * shares, LEAST_SHARE), nothing)
 
 
 @pytest.mark.slow

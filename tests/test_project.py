@@ -76,6 +76,15 @@ def test_commands_written_in_the_documents_exist() -> None:
         assert given <= known, f"{call}: {given - known}"
 
 
+def test_the_readme_begins_with_the_main_job_and_the_tests() -> None:
+    """On a machine with nothing but Python and make; `.ci/run` calls the second."""
+    commands = re.findall(r"^    make (\w+)", (ROOT / "README.md").read_text(), re.M)
+    assert commands[:2] == ["demo", "test"]
+    rules = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.M))
+    assert set(commands) <= rules
+    assert "make test" in (ROOT / ".ci" / "run").read_text()
+
+
 def test_targets_written_in_the_documents_can_be_given() -> None:
     """Whole specifications in code, such as `checkerboard:8x6:30mm`; forms as `aprilgrid:NXxNY:...` are no specifications."""
     written = {

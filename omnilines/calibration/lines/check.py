@@ -72,8 +72,6 @@ class LineCheck:
     """Of the parameters, that lines ask for, to first order."""
     change_sigma: Float[np.ndarray, " p"]
     regions: tuple[RegionDrift, ...]
-    photo_factor: float
-    """Variance of the scores of photos over that of independent edges."""
     edges: int
     members: int
     frames: int
@@ -129,7 +127,6 @@ def line_check(
         change=change.numpy(),
         change_sigma=covariance.diagonal().clamp_min(0).sqrt().numpy(),
         regions=_regions(model, grid[valid], torch.stack([squares, spread], -1)[valid], pixels, chains.at.px[own], moving, least),
-        photo_factor=scores.photo_factor,
         edges=int((chains.weight > 0).sum()),
         members=int((asked.families.of_chain >= 0).sum()),
         frames=asked.families.frames,

@@ -26,17 +26,18 @@ TRACY_WIDOM = (46.446, 0.186054, 9.84801)
 
 
 def raised_along(
-    of_chains: Float[Tensor, "q q"], by_photo: Float[Tensor, "v q"], shares: Float[Tensor, " v"]
+    of_chains: Float[Tensor, "q q"], by_photo: Float[Tensor, "v q"], shares: Float[Tensor, " v"], least_share: float
 ) -> Float[Tensor, "q q"]:
     """`of_chains`, V, times the factor by which photos scatter more over all directions; along those that stand out by as much as
-    photos do. `by_photo` are the scores, `shares` what each photo says, in any unit; photos without a share say nothing."""
+    photos do. `by_photo` are the scores, `shares` what each photo says, in any unit; photos without a share say nothing. Along
+    eigenvalues of the scaled V below `least_share` nothing is seen."""
     seen = shares > 0
     photos, shares = by_photo[seen], shares[seen]
     if len(photos) < 2 or not of_chains.any():
         return of_chains
     unit = torch.where(of_chains.diagonal() > 0, of_chains.diagonal().clamp_min(1e-300).rsqrt(), 0.0)
     size, axis = torch.linalg.eigh(of_chains * unit[:, None] * unit)
-    known = size > torch.finfo(size.dtype).eps * len(size) * size[-1]
+    known = size > least_share * size[-1]
     # Columns in which V is the identity.
     white = unit[:, None] * axis[:, known] / size[known].sqrt()
     off = (photos - photos.mean(0)) @ white

@@ -172,23 +172,12 @@ class LineScores:
         precision = pseudo_inverse(self._of_chains)
         of_chain = ((self.of_camera @ precision) * self.of_camera).sum(-1) * self.times * self.correction
         shares = of_chain.new_zeros(self.photos).index_add_(0, self.photo, of_chain)
-        return raised_along(self._of_chains, self.by_photo, shares)
+        return raised_along(self._of_chains, self.by_photo, shares, LEAST_SHARE)
 
     @cached_property
     def score_covariance(self) -> Float[Tensor, "q q"]:
         """Of the total: that of chains as photos scatter, and that of what is known before."""
         return self._of_lines + self.known_before
-
-    @cached_property
-    def photo_factor(self) -> float:
-        """Variance of the scores of photos about their mean, over that of independent chains, over all directions of the
-        camera."""
-        seen = self.by_photo[self.by_photo.any(-1)]
-        if len(seen) < 2:
-            return 1.0
-        off = seen - seen.mean(0)
-        inverse = pseudo_inverse(self._of_chains)
-        return float((off @ inverse * off).sum()) / self.camera * len(seen) / (len(seen) - 1)
 
     @cached_property
     def covariance(self) -> Float[Tensor, "q q"]:
