@@ -99,7 +99,7 @@ def checked(holds: bool, sigma_px: float, frames: int) -> CheckResult:
     regions = [RegionDrift(f"region {k}", 0 if k == 3 else 9, 0.1, 0.1 * k, 0.05, 0.08 * k) for k in range(9)]
     change, spread = np.array([0.1, 0.1, 3.0, 0, 0, 0, 0, 0]), np.full(8, 0.5)
     found = LineCheck(
-        LENS, 40.0, 8, 60.0, 1e-6, 0.4, 0.0 if holds else 0.3, sigma_px, change, spread, tuple(regions), 1.0, 300, 200, frames
+        LENS, 40.0, 8, 60.0, 1e-6, 0.4, 0.0 if holds else 0.3, sigma_px, change, spread, tuple(regions), 300, 200, frames
     )
     return CheckResult(found, holds, CheckOptions(), ("a.png", "b.png"), (), {})
 
