@@ -11,12 +11,15 @@ import pytest
 import torch
 
 import camera_models
-from camera_models import Calibration
+from camera_models import Calibration, Pinhole
+from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose, rotation_from_vector
 from omnilines.cli import main
 from omnilines.commands.render_scene import render_scene
+from omnilines.evaluation.scene import scene_scores
 from omnilines.files import read_lines, read_poses, write_poses, write_segments
 from omnilines.files.scene_folder import read_scene
+from omnilines.files.true_edges import read_stretches, read_true_edges
 from omnilines.geometry.line import PlueckerLines
 from omnilines.geometry.line_chart import LineChart
 from omnilines.pipelines import poses as _poses
@@ -29,7 +32,7 @@ from omnilines.pipelines.frame import (
     scene_frame,
 )
 from omnilines.pipelines.options import SceneOptions
-from omnilines.pipelines.pose_tables import unit_of_file
+from omnilines.pipelines.pose_tables import has_open_scale, unit_of_file
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import ImagePoses, LengthUnit, Lines
@@ -107,6 +110,35 @@ def test_nothing_is_called_metres_where_the_scale_is_open(room, open_scene, caps
         text = (open_scene / name).read_text()[:400]
         assert "units whose length in metres is not known" in text and ", metres" not in text
     assert camera_models.load(open_scene / "calibration.yaml").provenance["length_unit"] == "units"
+
+
+@pytest.mark.slow
+def test_a_trajectory_of_one_camera_gets_its_scale(room, tmp_path, capsys):
+    """KITTI's rows, as SLAM with one camera would write them: in a unit of its own."""
+    true = read_poses(room / "poses.csv")
+    world_from_cam = true.cam_from_world.inverse()
+    rows = torch.cat([world_from_cam.rotation, world_from_cam.translation[..., None] / UNIT_M], -1).reshape(VIEWS, 12)
+    assert true.images == tuple(f"view{k:02d}.png" for k in range(VIEWS))
+    trajectory = tmp_path / "trajectory.txt"
+    np.savetxt(trajectory, rows.numpy())
+    metres = float((world_from_cam.translation[4] - world_from_cam.translation[1]).norm())
+    assert call(room, tmp_path / "scene", "--scale-from", f"view01,view04:{metres}", poses=str(trajectory)) == 0
+    printed = capsys.readouterr()
+    said = " ".join((printed.out + printed.err).split())
+    assert "Lengths are metres by the" in said and "read as metres" not in said
+    edges = read_true_edges(room / "truth.csv")
+    scores = scene_scores(read_lines(tmp_path / "scene/lines.csv").ends_m, edges, read_stretches(room / "visibility.csv", edges))
+    assert scores.lines > 50 and scores.precision[-1] > 0.9
+
+
+def test_the_trajectory_of_a_rig_has_no_open_scale(tmp_path):
+    trajectory = tmp_path / "trajectory.txt"
+    trajectory.write_text("1.0 0 0 0 0 0 0 1\n2.0 1 0 0 0 0 0 1\n")
+    camera = Pinhole.from_mapping({"fx": 300.0, "fy": 300.0, "cx": 199.5, "cy": 149.5}, (400, 300))
+    alone = Calibration({"cam0": camera})
+    rig = Calibration({"cam0": camera, "cam1": camera}, rig={name: RigCamera(Pose.identity()) for name in ("cam0", "cam1")})
+    assert has_open_scale(str(trajectory), alone, {"1.0.png": "cam0"})
+    assert not has_open_scale(str(trajectory), rig, {"1.0.png": "cam0"})
 
 
 @pytest.mark.slow
@@ -380,5 +412,5 @@ def test_the_distance_is_known_as_well_as_the_poses_say():
 
 def test_a_distance_is_read_with_any_name_that_is_clear():
     photos = ["a/1.jpg", "b/2.jpg", "x,y.jpg"]
-    assert parse_known_distance("a/1.jpg,2:2.5m", photos, LengthUnit.OPEN) == KnownDistance("a/1.jpg", "b/2.jpg", 2.5)
-    assert parse_known_distance("x,y,1.jpg:2", photos, LengthUnit.OPEN) == KnownDistance("x,y.jpg", "a/1.jpg", 2.0)
+    assert parse_known_distance("a/1.jpg,2:2.5m", photos, scale_is_open=True) == KnownDistance("a/1.jpg", "b/2.jpg", 2.5)
+    assert parse_known_distance("x,y,1.jpg:2", photos, scale_is_open=True) == KnownDistance("x,y.jpg", "a/1.jpg", 2.0)

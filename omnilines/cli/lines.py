@@ -93,7 +93,9 @@ MaybeRefine = Annotated[
 MaybePattern = Annotated[str | None, typer.Option("--pattern", help="Target of --poses boards.")]
 ScaleFrom = Annotated[
     str | None,
-    typer.Option("--scale-from", help="PHOTO,PHOTO:METRES, a known distance, where poses leave the scale open (sfm, COLMAP)."),
+    typer.Option(
+        "--scale-from", help="PHOTO,PHOTO:METRES, a known distance, where poses leave the scale open (sfm, COLMAP, SLAM)."
+    ),
 ]
 Partition = Annotated[
     int,

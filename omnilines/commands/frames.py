@@ -142,13 +142,17 @@ def _summaries(chosen: ChosenFrames, out: Path) -> list[Summary]:
         left = Counter(row.reason for row in rows if not row.taken)
         lines = [
             ("video", f"{lens.video.duration_s:.1f} s, {lens.video.count} frames of {'x'.join(map(str, lens.image_size))} px"),
-            ("looked at closely", f"{len(rows)} frames"),
-            ("taken", f"{len(taken)} frames"),
-            *(("left out", f"{count} frames: {reason}") for reason, count in left.most_common(4)),
+            ("looked at closely", _frames(len(rows))),
+            ("taken", _frames(len(taken))),
+            *(("left out", f"{_frames(count)}: {reason}") for reason, count in left.most_common(4)),
         ]
         title = f"Frames of {lens.video.title}" + (f", {lens.name}" if lens.split else "")
         found.append(Summary(title, tuple(lines), (f"written to {out}",)))
     return found
+
+
+def _frames(count: int) -> str:
+    return "1 frame" if count == 1 else f"{count} frames"
 
 
 def _data(chosen: ChosenFrames) -> dict[str, object]:

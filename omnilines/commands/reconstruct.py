@@ -36,7 +36,7 @@ from omnilines.pipelines.arcs import SHORT_ARCS, cameras_of_photos, extract
 from omnilines.pipelines.frame import parse_known_distance, require_poses
 from omnilines.pipelines.given_arcs import check_given, given_arcs
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
-from omnilines.pipelines.pose_tables import named_cameras, require_readable, unit_of_file, unit_of_poses, up_of_file
+from omnilines.pipelines.pose_tables import has_open_scale, named_cameras, require_readable, unit_of_file, up_of_file
 from omnilines.pipelines.poses import check_source, estimate_poses, from_photos, require_body, require_source
 from omnilines.pipelines.reconstruct import check_options, reconstruct
 from omnilines.pipelines.scene import SCENE, SCENE_FILES, Scene
@@ -94,8 +94,10 @@ def reconstruct_photos(
     cameras = read_cameras(calibration, refs)
     camera_of = cameras_of_photos(refs, cameras, None if from_photos(poses) else named_cameras(poses))
     given = _given(segments, mask, refs, camera_of)
-    unit = unit_of_poses(poses, cameras, camera_of)
-    distance = None if scale_from is None else parse_known_distance(scale_from, [photo.name for photo in refs], unit)
+    distance = None
+    if scale_from is not None:
+        scale_is_open = has_open_scale(poses, cameras, camera_of)
+        distance = parse_known_distance(scale_from, [photo.name for photo in refs], scale_is_open)
     folder = Path(out)
     check_source(poses, refs, cameras, camera_of, pattern, body)
     _require_enough(refs, poses)

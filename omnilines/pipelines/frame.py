@@ -17,6 +17,7 @@ from camera_models import InputError
 from camera_models.pose import Pose
 from camera_models.wording import rounded
 from omnilines.pipelines.options import SceneOptions
+from omnilines.posing.from_trajectory import TAKEN_FOR_METRES
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.sfm import OPEN_SCALE
 from omnilines.records import LARGEST_M, ImagePoses, LengthUnit, Lines
@@ -53,15 +54,15 @@ class SceneFrame:
     notes: tuple[str, ...]
 
 
-def parse_known_distance(text: str, photos: Sequence[str], unit: LengthUnit) -> KnownDistance:
+def parse_known_distance(text: str, photos: Sequence[str], scale_is_open: bool) -> KnownDistance:
     """`a,b:2.5` as two of the photos, by name or by its end without folders and suffix, and metres.
 
-    Raises InputError where it is not of this form, names no two photos, or the poses are in metres already.
+    Raises InputError where it is not of this form, names no two photos, or the scale of the poses is not open.
     """
-    if unit is LengthUnit.METRES:
+    if not scale_is_open:
         raise InputError(
-            "`scale_from` is for poses whose scale is open (`poses` sfm without a rig, a COLMAP model), found poses in metres; "
-            "leave it out."
+            "`scale_from` is for poses whose scale is open (`poses` sfm without a rig, a COLMAP model, a trajectory of one "
+            "camera), found poses in metres; leave it out."
         )
     pair, _, distance = text.rpartition(":")
     try:
@@ -182,9 +183,10 @@ def moved_lines(lines: Lines, scale: float, turn: torch.Tensor) -> Lines:
     )
 
 
-def without_scale(notes: Sequence[str]) -> tuple[str, ...]:
-    """The notes on poses but for the one on their unit, which `scene_frame` says anew."""
-    return tuple(note for note in notes if note != OPEN_SCALE)
+def without_scale(notes: Sequence[str], known: KnownDistance | None) -> tuple[str, ...]:
+    """The notes on poses but for those on their unit, where `scene_frame` says it anew."""
+    anew = (OPEN_SCALE,) if known is None else (OPEN_SCALE, TAKEN_FOR_METRES)
+    return tuple(note for note in notes if note not in anew)
 
 
 def _open(source: str) -> str:

@@ -18,7 +18,7 @@ from omnilines.posing.from_rig import complete_from_rig
 from omnilines.posing.instant_names import instants
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
-from omnilines.posing.tools import pose_file_of
+from omnilines.posing.tools import Keys, pose_file_of
 from omnilines.records import ImagePoses, LengthUnit
 
 SAME_PLACE_M = 1e-9
@@ -109,6 +109,17 @@ def unit_of_poses(source: str, cameras: Calibration, camera_of: Mapping[str, str
         return LengthUnit.METRES if cameras.rig and _seen_from_apart(cameras, camera_of) else LengthUnit.OPEN
     path = Path(source)
     return unit_of_file(path) if path.exists() else LengthUnit.METRES
+
+
+def has_open_scale(source: str, cameras: Calibration, camera_of: Mapping[str, str]) -> bool:
+    """Whether a known distance scales the poses of a source: those whose unit is open, and trajectories, which do not say whether
+    one camera alone made them, unless they are of a rig."""
+    path = Path(source)
+    tool = pose_file_of(path) if path.is_file() else None
+    if tool is None:
+        return unit_of_poses(source, cameras, camera_of) is LengthUnit.OPEN
+    own = tool.read(path)
+    return own.unit is LengthUnit.OPEN or (own.keys is not Keys.NAMES and not cameras.rig)
 
 
 def _seen_from_apart(cameras: Calibration, camera_of: Mapping[str, str]) -> bool:

@@ -249,7 +249,7 @@ def _scene(
         *_by_chance(found),
         *unfollowed_errors(cameras, options, supposed),
         *_of_few(len(arcs.used), options.min_views),
-        *_of_poses(posed, found.scene.poses, len(lost), options.posing),
+        *_of_poses(posed, found.scene.poses, len(lost), distance, options.posing),
         *unplaced_notes(found.scene),
         *_of_given(posed, found, known, options),
         *frame.notes,
@@ -357,9 +357,11 @@ def _without_poses(posed: PhotoPoses, final: ImagePoses) -> tuple[Detail, ...]:
     return tuple(Detail(name, why) for name, why in posed.left_out.items() if name not in known)
 
 
-def _of_poses(posed: PhotoPoses, final: ImagePoses, lost: int, options: PosingOptions) -> tuple[str, ...]:
+def _of_poses(
+    posed: PhotoPoses, final: ImagePoses, lost: int, distance: KnownDistance | None, options: PosingOptions
+) -> tuple[str, ...]:
     """What is to be said of where photos were taken; `lost` of them have no pose."""
     placed = sorted(name for name in final.images if name not in posed.poses.images)
     by_lines = f"{', '.join(placed)} had no pose and {'was' if len(placed) == 1 else 'were'} placed by the lines of other photos."
     doubts = doubt(lost, len(set(final.images)) + lost, options.growth) if posed.source == SFM else ()
-    return (*doubts, *([by_lines] if placed else []), *without_scale(posed.notes))
+    return (*doubts, *([by_lines] if placed else []), *without_scale(posed.notes, distance))

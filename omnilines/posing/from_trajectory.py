@@ -20,6 +20,10 @@ from omnilines.posing.photo_times import NANOSECOND_S, number_of, time_of, unit_
 from omnilines.posing.tools import Keys, ToolPoses
 from omnilines.records import ImagePoses
 
+TAKEN_FOR_METRES = (
+    "Lengths of the trajectory are read as metres; SLAM with one camera alone has a scale of its own, which `scale_from` "
+    "PHOTO,PHOTO:METRES gives."
+)
 LEAST_MM, LEAST_DEG = 0.01, 1e-4
 """Smaller errors are as good as none."""
 
@@ -61,7 +65,8 @@ def poses_from_trajectory(
     frame_of = instants(photos, camera_of)
     frames = tuple(frame_of[photo] for photo in kept) if cameras.rig else None
     whose = "rig frame" if cameras.rig else "camera"
-    notes = ("Lengths of the trajectory are read as metres; those of one camera alone have a scale of their own.", *notes)
+    if not cameras.rig:
+        notes = (TAKEN_FOR_METRES, *notes)
     if body is None:
         notes = (
             f"The trajectory is read as that of the {whose}; where it is that of an IMU, say where this sits (`body`).",
