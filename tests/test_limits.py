@@ -20,6 +20,7 @@ from omnilines.pages.limits_of_lines import arcs_advice, check_advice
 from omnilines.pipelines.check import CheckResult
 from omnilines.pipelines.check_options import CheckOptions
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
+from omnilines.pipelines.same_place import is_same_place
 from omnilines.records import ViewResult
 from omnilines.report.numbers import figure, with_sigma
 
@@ -144,6 +145,11 @@ def test_arcs_say_how_well_they_are_known_and_which_photos_have_few(tmp_path: Pa
     assert arcs_advice(arcs_of([40, 40], tmp_path)) == ()
     skipped = replace(arcs, photos=(*arcs.photos, replace(arcs.photos[0], reason="it is black.")))
     assert arcs_advice(skipped)[0].limit.startswith("1 of 5 photos is skipped; of ")
+    same = "It shows what 0.png shows from the same place, which tells no distances."
+    assert is_same_place(same)
+    for reason in (same, "It is a copy of 0.png, and would count twice."):
+        missed = replace(arcs, photos=(*arcs.photos, replace(arcs.photos[0], reason=reason)))
+        assert arcs_advice(missed) == (few,)
 
 
 def test_numbers_of_ordinary_size_have_no_exponent() -> None:

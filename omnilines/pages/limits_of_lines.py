@@ -16,8 +16,10 @@ from omnilines.pages.limits import named
 from omnilines.pages.noise_notes import MANY, WORTH_SAYING
 from omnilines.pipelines.advice import more_views, weak_photos
 from omnilines.pipelines.check import CheckResult
+from omnilines.pipelines.copies import is_copy
 from omnilines.pipelines.directions import PhotoDirections
 from omnilines.pipelines.photo_arcs import PhotoArcs
+from omnilines.pipelines.same_place import is_same_place
 from omnilines.pipelines.scene import Scene
 from omnilines.pipelines.supposed_errors import SUPPOSED_PX
 from omnilines.records import Advice, LengthUnit
@@ -256,7 +258,9 @@ def arcs_advice(arcs: PhotoArcs) -> tuple[Advice, ...]:
 
 
 def _skipped(skipped: Mapping[str, str], given: int) -> tuple[Advice, ...]:
-    """Photos of those given that could not be used, with the reason of each."""
+    """Photos of those given that could not be used, with the reason of each; copies, and what shows the same from the same place,
+    are not missed."""
+    skipped = {name: reason for name, reason in skipped.items() if not (is_copy(reason) or is_same_place(reason))}
     if not skipped:
         return ()
     name, reason = next(iter(skipped.items()))

@@ -21,10 +21,16 @@ from omnilines.pipelines.still_camera import NEAR_PX, lies_near
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.records import ImagePoses
 
+_SAME_PLACE = "shows from the same place, which tells no distances."
 ARCS = 300
 """Of each photo that are compared."""
 LEAST_PLACES = 3
 """That lines are seen from."""
+
+
+def is_same_place(reason: str) -> bool:
+    """Whether a photo is left out for that reason of `without_same_place`."""
+    return reason.endswith(_SAME_PLACE)
 
 
 def without_same_place(
@@ -49,7 +55,7 @@ def without_same_place(
             kept.append(row)
         else:
             names = posed.poses.images[row], posed.poses.images[same]
-            reasons[names[0]] = f"It shows what {names[1]} shows from the same place, which tells no distances."
+            reasons[names[0]] = f"It shows what {names[1]} {_SAME_PLACE}"
     if not reasons or len(kept) < LEAST_PLACES:
         return arcs, posed
     photos = [
