@@ -94,7 +94,7 @@ def camera_result(
     rough = misfit_notes(math.sqrt(squared / (2 * count)), model.image_size, math.sqrt(stated or 0.0), thresholds.doubt)
     if rough:
         refuse_disorder(smooth_corners(final.points, thresholds.screening)[1])
-    notes = rough + tuple(f"{one[0].upper()}{one[1:]}." for one in model_doubts(model)) + notes
+    notes = rough + tuple(f"{one[0].upper()}{one[1:]}." for one in model_doubts(model, estimated=True)) + notes
     refuse_unexplained(final.points, state.residual_px(final.points), thresholds.degeneracy.unexplained_share)
     by_noise = basis @ unit[:q, :q] @ basis.mT * factor.value
     refuse_open_camera(model, by_noise, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
