@@ -10,6 +10,7 @@ from board_views import BOARD, board_corners, board_views
 from camera_models import CameraModel, ExtendedUnified, OpenCVFisheye, Scaramuzza
 from camera_models.formats.camera_doubts import model_doubts
 from camera_models.pose import Pose, rotation_from_vector
+from omnilines.calibration.diagnose import lost_rim
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.uncertainty import (
@@ -236,3 +237,15 @@ def test_numbers_of_a_fit_are_not_to_be_checked(truth, said):
     assert any(said in note for note in result.notes)
     assert not any("check" in note for note in result.notes)
     assert any("check" in doubt for doubt in model_doubts(result.model))
+
+
+def test_a_rim_of_which_all_corners_are_rejected_is_named():
+    radius_px, kept = torch.arange(100.0).double(), torch.ones(100, dtype=torch.bool)
+    kept[90:] = False
+    assert "All 10 corners that lie more than 89 px" in lost_rim(radius_px, kept, 1e-3)[0]
+    scattered = kept.roll(-3)
+    assert lost_rim(radius_px, scattered, 1e-3) == ()
+    kept[:] = True
+    kept[99] = False  # one gross error may be the outermost
+    assert lost_rim(radius_px, kept, 1e-3) == ()
+    assert lost_rim(radius_px, torch.ones_like(kept), 1e-3) == ()
