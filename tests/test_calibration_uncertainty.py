@@ -7,8 +7,10 @@ import pytest
 import torch
 from board_views import BOARD, board_corners, board_views
 
-from camera_models import CameraModel, OpenCVFisheye, Scaramuzza
+from camera_models import CameraModel, ExtendedUnified, OpenCVFisheye, Scaramuzza
+from camera_models.formats.camera_doubts import model_doubts
 from camera_models.pose import Pose, rotation_from_vector
+from omnilines.calibration.diagnose import lost_rim
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.single import calibrate_camera
 from omnilines.calibration.uncertainty import (
@@ -219,3 +221,31 @@ def test_three_photos_say_that_they_do_not_tell_whether_they_contradict_each_oth
     }
     said = "Whether photos contradict each other about the camera is told from 4 photos on, found 3"
     assert said in notes[3] and "is told from 4 photos on" not in notes[4]
+
+
+@pytest.mark.parametrize(
+    ("truth", "said"),
+    [
+        (ExtendedUnified([330.0, 331.0, 642.1, 478.7, 1.0, 1.1], SIZE), "calibrate with another --model"),
+        (OpenCVFisheye([420.0, 420.0, 1015.0, 400.0, 0.01, -0.005, 0.001, 0.0], (1024, 768)), "a chip beside the axis"),
+    ],
+)
+def test_numbers_of_a_fit_are_not_to_be_checked(truth, said):
+    """Nobody typed them: of a file the same camera is said to be checked, of a calibration what the number means."""
+    corners = board_corners(truth, board_views(truth, 75.0, 8, 4), 0.1, 0)
+    result = calibrate_camera(corners, truth.image_size, truth.NAME)
+    assert any(said in note for note in result.notes)
+    assert not any("check" in note for note in result.notes)
+    assert any("check" in doubt for doubt in model_doubts(result.model))
+
+
+def test_a_rim_of_which_all_corners_are_rejected_is_named():
+    radius_px, kept = torch.arange(100.0).double(), torch.ones(100, dtype=torch.bool)
+    kept[90:] = False
+    assert "All 10 corners that lie more than 89 px" in lost_rim(radius_px, kept, 1e-3)[0]
+    scattered = kept.roll(-3)
+    assert lost_rim(radius_px, scattered, 1e-3) == ()
+    kept[:] = True
+    kept[99] = False  # one gross error may be the outermost
+    assert lost_rim(radius_px, kept, 1e-3) == ()
+    assert lost_rim(radius_px, torch.ones_like(kept), 1e-3) == ()

@@ -32,8 +32,9 @@ def camera_doubts(calibration: Calibration) -> tuple[str, ...]:
     return said
 
 
-def model_doubts(model: CameraModel) -> tuple[str, ...]:
-    """The same of one camera, each a sentence without its beginning and its end."""
+def model_doubts(model: CameraModel, *, estimated: bool = False) -> tuple[str, ...]:
+    """The same of one camera, each a sentence without its beginning and its end. Of an `estimated` one nobody can check numbers
+    that a fit has found: what they mean is said instead."""
     values = model.named_parameters()
     said = []
     if "cx" in values:
@@ -46,7 +47,8 @@ def model_doubts(model: CameraModel) -> tuple[str, ...]:
         elif min(wide, high) > 0 and abs(wide / high - 1) < SAME_SHAPE and not OTHER_SIZE < wide < 1 / OTHER_SIZE:
             said.append(f"{where}, as that of an image of about {2 * cx + 1:.0f}x{2 * cy + 1:.0f} px would; check the size")
         elif off > FAR_OFF_CENTRE:
-            said.append(f"{where}; check both, unless the photos are cut out of larger ones")
+            cut = "as in photos that are cut out of larger ones, or of a chip beside the axis of its lens"
+            said.append(f"{where}, {cut}" if estimated else f"{where}; check both, unless the photos are cut out of larger ones")
     if values.get("fx", 0) and values.get("fy", 0) and model.CALIBRATED:
         aspect = values["fx"] / values["fy"]
         if not 1 / OTHER_ASPECT < aspect < OTHER_ASPECT:
@@ -54,7 +56,8 @@ def model_doubts(model: CameraModel) -> tuple[str, ...]:
     if model.CALIBRATED and (seen := seen_share(model)) < LITTLE_SEEN:
         said.append(f"it sees {100 * seen:.0f} percent of its image, beyond that its distortion folds; check the coefficients")
     if not 0.0 <= values.get("alpha", 0.0) <= 1.0:
-        said.append(f"alpha is meant to lie in 0 to 1, found {values['alpha']:g}; check it")
+        refused = "it is used all the same, but where another program refuses it, calibrate with another --model"
+        said.append(f"alpha is meant to lie in 0 to 1, found {values['alpha']:g}; {refused if estimated else 'check it'}")
     return tuple(said)
 
 

@@ -3,7 +3,7 @@
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models import CameraModel, GeometryError
@@ -121,6 +121,18 @@ def coverage_notes(model: CameraModel, pixels: Float[Tensor, "n 2"], image_size:
             f"{shorter:.0f} px): the calibration is extrapolated there; add photos with the board near the rim.",
         )
     return notes
+
+
+def lost_rim(radius_px: Float[Tensor, " n"], kept: Bool[Tensor, " n"], significance: float) -> tuple[str, ...]:
+    """A sentence where all outermost corners were rejected, more in a row than chance explains: gross errors lie anywhere."""
+    outward = kept[radius_px.argsort(descending=True)].long()
+    count, share = int((outward.cumsum(0) == 0).sum()), 1 - float(outward.double().mean())
+    if count == 0 or share**count > significance:
+        return ()
+    return (
+        f"All {count} corners that lie more than {float(radius_px[kept].max()):.0f} px from the centre of the lens are among "
+        "them: the model hardly follows the lens there, and ends before its rim; try another --model.",
+    )
 
 
 def grows_beyond(model: CameraModel, pixels: Float[Tensor, "n 2"], beyond_factor: float) -> bool:

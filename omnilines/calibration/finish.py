@@ -15,6 +15,7 @@ from camera_models.wording import rounded
 from omnilines.calibration.by_views import stated_covariance
 from omnilines.calibration.diagnose import (
     coverage_notes,
+    lost_rim,
     refuse_open_camera,
     refuse_parallel_boards,
     refuse_unexplained,
@@ -94,7 +95,7 @@ def camera_result(
     rough = misfit_notes(math.sqrt(squared / (2 * count)), model.image_size, math.sqrt(stated or 0.0), thresholds.doubt)
     if rough:
         refuse_disorder(smooth_corners(final.points, thresholds.screening)[1])
-    notes = rough + tuple(f"{one[0].upper()}{one[1:]}." for one in model_doubts(model)) + notes
+    notes = rough + tuple(f"{one[0].upper()}{one[1:]}." for one in model_doubts(model, estimated=True)) + notes
     refuse_unexplained(final.points, state.residual_px(final.points), thresholds.degeneracy.unexplained_share)
     by_noise = basis @ unit[:q, :q] @ basis.mT * factor.value
     refuse_open_camera(model, by_noise, final.points.pixels, state.cam_from_board, thresholds.degeneracy)
@@ -177,7 +178,7 @@ def _views(
 def _data_notes(final: LastFit, solution: Solution[CameraAndBoards], leverage: Float[Tensor, " v"]) -> tuple[str, ...]:
     """What is to be said of corners, views, and how the fit ended."""
     state, model, corners, thresholds = solution.state, solution.state.model, final.corners, final.thresholds
-    notes = _rejected_corners(final)
+    notes = _rejected_corners(final, model)
     notes += coverage_notes(model, final.points.pixels, model.image_size)
     notes += tilt_notes(state.cam_from_board, thresholds.degeneracy.one_axis_deg)
     if float(leverage.max()) > thresholds.views.leverage_share:
@@ -191,16 +192,19 @@ def _data_notes(final: LastFit, solution: Solution[CameraAndBoards], leverage: F
     return notes
 
 
-def _rejected_corners(final: LastFit) -> tuple[str, ...]:
-    """How many corners of the views used were rejected, and why."""
+def _rejected_corners(final: LastFit, model: CameraModel) -> tuple[str, ...]:
+    """How many corners of the views used were rejected, why, and whether they are those at the rim."""
     used = np.isin(final.corners.view, final.views)
     lost = used & ~final.rows
     if final.limit_px is None or not lost.any():
         return ()
     views = len(np.unique(final.corners.view[lost]))
+    radius_px = (torch.from_numpy(final.corners.pixels[used]) - model.centre_px.detach()).norm(dim=-1)
+    rim = lost_rim(radius_px, torch.from_numpy(~lost[used]), final.thresholds.degeneracy.misfit_significance)
     return (
         f"{lost.sum()} of {used.sum()} corners, in {views} views, were rejected: they lie more than {rounded(final.limit_px)} px "
         f"({final.thresholds.robust.reject_sigma:g} robust standard deviations) from where the camera sees them.",
+        *rim,
     )
 
 

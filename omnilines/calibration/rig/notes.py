@@ -58,7 +58,7 @@ def rig_notes(
         pixels = outcome.fit.points.pixels[own]
         rms_px, stated_px = member.rms_px_per_point / math.sqrt(2), outcome.data.noise[k].sigma_px
         notes += [f"Camera {member.name}: {note}" for note in misfit_notes(rms_px, member.model.image_size, stated_px, doubt)]
-        notes += [f"Camera {member.name}: {note}." for note in model_doubts(member.model)]
+        notes += [f"Camera {member.name}: {note}." for note in model_doubts(member.model, estimated=k not in outcome.held)]
         notes += [f"Camera {member.name}: {note}" for note in coverage_notes(member.model, pixels, member.model.image_size)]
     notes += () if other is None else (other.note,)
     notes += _excess_notes(outcome)
