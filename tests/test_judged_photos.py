@@ -79,8 +79,9 @@ def focal(times: float) -> Pinhole:
 def test_flipped_and_turned_photos_are_named(says: str, matrix: list[list[float]]) -> None:
     """They ended in "No line was left: check the poses"."""
     found, poses = photos()
-    with pytest.raises(InputError, match=f"The photos look {says}: .* Flip or turn them back"):
+    with pytest.raises(InputError, match=f"The photos look {says}: .* Flip or turn them back") as told:
         judge(mapped(found, matrix), poses)
+    assert ("left-handed world" in str(told.value)) == (np.linalg.det(matrix) < 0)
 
 
 @pytest.mark.slow

@@ -49,6 +49,9 @@ def turned_photos(found: Sequence[FoundArcs], cameras: Calibration) -> Iterator[
         if matrix[0, 0] or all(width == height for width, height in sizes):
             again = [_mapped(one, 0.5 * np.array(cameras[one.camera].image_size) - 0.5, matrix) for one in found]
             remedy = "flip or turn them back, as those that poses and calibration are of"
+            if np.linalg.det(matrix) < 0:
+                # Poses of a mirrored world and mirrored cameras fit photos that are mirrored just as well.
+                remedy += "; if the poses are of a left-handed world (Unity, Unreal), give right-handed ones"
             yield PhotoReading(looks, remedy, again, cameras)
 
 

@@ -8,7 +8,7 @@ is smooth everywhere but opposite to b, where it grows without bound: no point b
 """
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from camera_models.pose import Pose
@@ -39,3 +39,11 @@ def bearing_residual(
 def placed(pose: Pose, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     """One point for each pose, in its left frame."""
     return (pose.rotation @ points[..., None])[..., 0] + pose.translation
+
+
+def near_epipolar_circle(
+    a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"], b_from_a: Pose, limit_rad: float | Float[Tensor, " n"]
+) -> Bool[Tensor, " n"]:
+    """Whether each bearing of camera b is within an angle of the circle on which b sees the ray of a."""
+    normal = torch.linalg.cross(a @ b_from_a.rotation.mT, b_from_a.translation.expand_as(a))
+    return (normal * b).sum(-1).abs() < limit_rad * normal.norm(dim=-1).clamp_min(1e-300)

@@ -1,18 +1,20 @@
 """What goes along with the camera: a vehicle, a mount or a hand that it sees, dirt on the lens.
 
 Its features lie at the same bearings in all photos, as if the camera had neither moved nor turned. Where they are most of what
-photos have in common, nothing else is found. Features of the world do so where the camera only moved and they are far away, or
-where it stood still; hence they are told of where the camera turned, and left out where no photos could be joined with them.
+photos have in common, nothing else is found, or poses with which nothing else agrees. Features of the world do so where the
+camera only moved and they are far away, or where it stood still; hence they are told of where the camera turned, and left out
+where no photos could be joined with them, or where more of the other matches agree without them.
 """
 
 import math
 from collections.abc import Mapping, Sequence
 
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
+from omnilines.posing.bearing_residual import near_epipolar_circle
 from omnilines.posing.features import Features
 from omnilines.posing.growth import PairMatches
 from omnilines.posing.options import PosingOptions
@@ -22,12 +24,10 @@ def carried_along(
     features: Sequence[Features], matches: PairMatches, camera: Sequence[int], options: PosingOptions = PosingOptions()
 ) -> dict[tuple[int, int], Bool[Tensor, " _"]]:
     """Which matches of each two photos of one `camera` are at one bearing, as near as with any geometry of a pair."""
-    limit, found = options.mapper.epipolar_px / options.features.sigma_px, {}
+    found = {}
     for (i, j), rows in matches.items():
-        a, b = features[i], features[j]
-        within_rad = limit * torch.maximum(a.sigma_rad[rows[:, 0]], b.sigma_rad[rows[:, 1]])
-        near = (a.bearings[rows[:, 0]] - b.bearings[rows[:, 1]]).norm(dim=-1) <= within_rad
-        found[i, j] = near & (camera[i] == camera[j])
+        a, b, within_rad = _rays(features[i], features[j], rows, options)
+        found[i, j] = ((a - b).norm(dim=-1) <= within_rad) & (camera[i] == camera[j])
     return found
 
 
@@ -60,3 +60,24 @@ def carried_share(
     along = carried_along(features, far, camera, options)
     total = sum(map(len, along.values()))
     return sum(int(one.sum()) for one in along.values()) / total if total else 0.0
+
+
+def agreeing(
+    features: Sequence[Features], matches: PairMatches, poses: Mapping[int, Pose], options: PosingOptions = PosingOptions()
+) -> int:
+    """How many of the matches lie near the epipolar circles of the poses, cam_from_world of the photos that have one."""
+    count = 0
+    for (i, j), rows in matches.items():
+        if i in poses and j in poses:
+            a, b, within_rad = _rays(features[i], features[j], rows, options)
+            count += int(near_epipolar_circle(a, b, poses[j] @ poses[i].inverse(), within_rad).sum())
+    return count
+
+
+def _rays(
+    one: Features, other: Features, rows: Int[Tensor, "m 2"], options: PosingOptions
+) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m 3"], Float[Tensor, " m"]]:
+    """Bearings of matched features in either photo, and the angle within which they agree with the geometry of the pair."""
+    first, second = rows.unbind(1)
+    limit = options.mapper.epipolar_px / options.features.sigma_px
+    return one.bearings[first], other.bearings[second], limit * torch.maximum(one.sigma_rad[first], other.sigma_rad[second])

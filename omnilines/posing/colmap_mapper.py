@@ -23,6 +23,7 @@ from torch import Tensor
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.posing._pycolmap import pycolmap
+from omnilines.posing.bearing_residual import near_epipolar_circle
 from omnilines.posing.features import Features
 from omnilines.posing.from_colmap import pose_of
 from omnilines.posing.options import MapperOptions, PosingOptions
@@ -123,10 +124,8 @@ def _explained(part: Mapping[int, Pose], rays: Mapping[tuple[int, int], "_Rays"]
     counts = {}
     for (i, j), pair in rays.items():
         if i in part and j in part:
-            relative = part[j] @ part[i].inverse()
-            normal = torch.linalg.cross(pair.a @ relative.rotation.mT, relative.translation.expand_as(pair.a))
-            sine = (normal * pair.b).sum(-1).abs() / normal.norm(dim=-1).clamp_min(1e-300)
-            counts[i, j] = int((sine < pair.limit_rad).sum())
+            near = near_epipolar_circle(pair.a, pair.b, part[j] @ part[i].inverse(), pair.limit_rad)
+            counts[i, j] = int(near.sum())
     return counts
 
 

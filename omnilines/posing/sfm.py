@@ -17,7 +17,7 @@ from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.formats.disk import own_folder
 from camera_models.pose import Pose, adjoint
 from omnilines.posing._pycolmap import pycolmap
-from omnilines.posing.carried_along import carried_share, without_carried
+from omnilines.posing.carried_along import agreeing, carried_share, without_carried
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
@@ -33,15 +33,16 @@ from omnilines.records import ImagePoses
 
 OPEN_SCALE = "The scale is not known: the unit of length is about the cameras' root mean square distance from their middle."
 """The note of poses whose unit nothing tells."""
-TO_MASK = "leave out a vehicle, a mount or a hand that the camera sees with `mask`."
+TO_MASK = "leave out a vehicle, a mount, a hand or a date that photos always show, with `mask`."
 LEFT_OUT = (
     "Photos could be joined only without what lies at one place in all of them, which goes along with the camera, or far away: "
     f"{TO_MASK}"
 )
 GOES_ALONG = (
-    "{:.0%} of what photos have in common lies at the same place in them although the camera turned: it goes along with it; "
+    "{:.0%} of what photos have in common lies at the same place in them although the camera turned: it goes along with it{}; "
     f"{TO_MASK}"
 )
+WITHOUT_IT = ", and poses are found without it"
 LEAST_PHOTOS = 3
 MAX_TABLES = 4
 """Pairs of photos compared at once; each takes 0.1 GB."""
@@ -84,16 +85,27 @@ def sfm_poses(
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
-    parts, matches, told = _joined(given, matches, Path(work_folder), seed, progress, options)
-    with one_torch_thread():
-        start = start_from(Frames(torch.tensor(frame), rig), parts[0])
-        grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
-    found = _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
+    work = Path(work_folder)
+
+    def placed(parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
+        with one_torch_thread():
+            start = start_from(Frames(torch.tensor(frame), rig), parts[0])
+            grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
+        return _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
+
+    parts, matches, told = _joined(given, matches, work, seed, progress, options)
+    found = placed(parts, matches)
     # A rig that stood still sees the world at one bearing, also at an instant that something moving has taken along.
     if not told and rig_that_stood_still(found.poses, options.carried.rig_still) is None:
-        poses = {photos.index(name): found.poses.cam_from_world[k] for k, name in enumerate(found.poses.images)}
-        share = carried_share(features, matches.clear, given.camera, poses, options)
-        told = (GOES_ALONG.format(share),) if share >= options.carried.least_share else ()
+        share = carried_share(features, matches.clear, given.camera, _by_number(found, photos), options)
+        if share >= options.carried.least_share:
+            # Poses with which only that agrees are wrong, though it be most of what photos have in common.
+            without = _others(given, matches, options)
+            parts = _mapped(given, without.clear, work, seed, progress, options)
+            again = placed(parts, without) if parts else found
+            better = _agreeing(again, given, without, photos, options) > _agreeing(found, given, without, photos, options)
+            found = again if better else found
+            told = (GOES_ALONG.format(share, WITHOUT_IT if better else ""),)
     return replace(found, notes=(*found.notes, *told))
 
 
@@ -103,20 +115,38 @@ def _joined(
     """The parts that COLMAP joins, by all matches or, where there is none, by those that do not go along with the camera; these
     matches, and what is to be said of them. Raises GeometryError where there is none either way."""
 
-    def mapped(clear: PairMatches) -> list[dict[int, Pose]]:
-        work.mkdir(parents=True, exist_ok=True)
-        with own_folder(work, "colmap.") as folder:
-            return map_photos(replace(given, matches=clear), folder / "mapper", seed, progress, options)
-
-    parts = mapped(matches.clear)
+    parts = _mapped(given, matches.clear, work, seed, progress, options)
     if parts:
         return parts, matches, ()
-    clear, faint = (without_carried(given.features, one, given.camera, options) for one in (matches.clear, matches.faint))
-    without = Matches(clear, faint)
-    parts = mapped(clear) if _number(clear) < _number(matches.clear) else []
+    without = _others(given, matches, options)
+    fewer = _number(without.clear) < _number(matches.clear)
+    parts = _mapped(given, without.clear, work, seed, progress, options) if fewer else []
     if not parts:
         raise GeometryError(_not_joined(given.features, matches, without, seed, options))
     return parts, without, (LEFT_OUT,)
+
+
+def _mapped(
+    given: MapperInput, clear: PairMatches, work: Path, seed: int, progress: ProgressCallback, options: PosingOptions
+) -> list[dict[int, Pose]]:
+    """The parts that COLMAP joins by these matches."""
+    work.mkdir(parents=True, exist_ok=True)
+    with own_folder(work, "colmap.") as folder:
+        return map_photos(replace(given, matches=clear), folder / "mapper", seed, progress, options)
+
+
+def _others(given: MapperInput, matches: Matches, options: PosingOptions) -> Matches:
+    """The matches that do not go along with the camera."""
+    return Matches(*(without_carried(given.features, one, given.camera, options) for one in (matches.clear, matches.faint)))
+
+
+def _by_number(found: PhotoPoses, photos: Sequence[str]) -> dict[int, Pose]:
+    """cam_from_world of the photos that have one."""
+    return {photos.index(name): found.poses.cam_from_world[k] for k, name in enumerate(found.poses.images)}
+
+
+def _agreeing(found: PhotoPoses, given: MapperInput, matches: Matches, photos: Sequence[str], options: PosingOptions) -> int:
+    return agreeing(given.features, matches.clear, _by_number(found, photos), options)
 
 
 def _features(
