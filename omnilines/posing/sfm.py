@@ -97,14 +97,15 @@ def sfm_poses(
     found = placed(parts, matches)
     # A rig that stood still sees the world at one bearing, also at an instant that something moving has taken along.
     if not told and rig_that_stood_still(found.poses, options.carried.rig_still) is None:
-        share = carried_share(features, matches.clear, given.camera, _by_number(found, photos), options)
+        poses = {photos.index(name): found.poses.cam_from_world[k] for k, name in enumerate(found.poses.images)}
+        share = carried_share(features, matches.clear, given.camera, poses, options)
         if share >= options.carried.least_share:
             # Poses with which only that agrees are wrong, though it be most of what photos have in common.
             without = _others(given, matches, options)
             parts = _mapped(given, without.clear, work, seed, progress, options)
-            again = placed(parts, without) if parts else found
-            better = _agreeing(again, given, without, photos, options) > _agreeing(found, given, without, photos, options)
-            found = again if better else found
+            its = agreeing(features, without.clear, parts[0], options) if parts else 0
+            better = its > agreeing(features, without.clear, poses, options)
+            found = placed(parts, without) if better else found
             told = (GOES_ALONG.format(share, WITHOUT_IT if better else ""),)
     return replace(found, notes=(*found.notes, *told))
 
@@ -138,15 +139,6 @@ def _mapped(
 def _others(given: MapperInput, matches: Matches, options: PosingOptions) -> Matches:
     """The matches that do not go along with the camera."""
     return Matches(*(without_carried(given.features, one, given.camera, options) for one in (matches.clear, matches.faint)))
-
-
-def _by_number(found: PhotoPoses, photos: Sequence[str]) -> dict[int, Pose]:
-    """cam_from_world of the photos that have one."""
-    return {photos.index(name): found.poses.cam_from_world[k] for k, name in enumerate(found.poses.images)}
-
-
-def _agreeing(found: PhotoPoses, given: MapperInput, matches: Matches, photos: Sequence[str], options: PosingOptions) -> int:
-    return agreeing(given.features, matches.clear, _by_number(found, photos), options)
 
 
 def _features(
