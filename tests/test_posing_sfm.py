@@ -1,6 +1,7 @@
 """Structure from motion against truth: features of a synthetic scene for every camera, rendered rooms end to end."""
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -127,30 +128,51 @@ def test_the_same_seed_gives_the_same_poses(monkeypatch, tmp_path):
     assert torch.equal(runs[0].poses.cam_from_world.translation, runs[1].poses.cam_from_world.translation)
 
 
-@pytest.mark.slow
-def test_a_rig_moves_as_one_and_gives_the_scale(monkeypatch, tmp_path):
+SECOND = Pose.exp(torch.tensor([0.1, math.pi / 2, 0.05, 0.25, 0.02, 0.1], dtype=torch.float64))
+"""The right camera of a pair from the left one."""
+
+
+def posed_pair(stated: Pose, monkeypatch, tmp_path):
+    """What structure from motion finds of five instants of a pair, `stated` as the right camera's place, and the true poses."""
     camera, _ = scene_camera("scaramuzza", (800, 600), 0, 220.0)
-    second = Pose.exp(torch.tensor([0.1, math.pi / 2, 0.05, 0.25, 0.02, 0.1], dtype=torch.float64))
-    rig = {"left": RigCamera(Pose.identity()), "right": RigCamera(second)}
+    rig = {"left": RigCamera(Pose.identity()), "right": RigCamera(stated)}
     calibration = Calibration(dict.fromkeys(rig, camera), {}, rig)
     points, words = world(700, 4)
     at = places(5, 6)
     names, poses, features = [], [], []
     for k in range(5):
-        for name, item in rig.items():
+        for name, cam_from_rig in (("left", Pose.identity()), ("right", SECOND)):
             names.append(f"{name}/{k}.png")
-            poses.append(item.cam_from_rig @ at[k])
+            poses.append(cam_from_rig @ at[k])
             features.append(described(camera, poses[-1], points, words, np.random.default_rng([len(names), 7])))
     camera_of, frame_of = {n: n.split("/")[0] for n in names}, {n: n.split("/")[1] for n in names}
-    found = run_on(features, monkeypatch, tmp_path, calibration, names, camera_of, frame_of=frame_of)
+    return run_on(features, monkeypatch, tmp_path, calibration, names, camera_of, frame_of=frame_of), poses
+
+
+@pytest.mark.slow
+def test_a_rig_moves_as_one_and_gives_the_scale(monkeypatch, tmp_path):
+    found, poses = posed_pair(SECOND, monkeypatch, tmp_path)
+    names = [f"{name}/{k}.png" for k in range(5) for name in ("left", "right")]
     assert found.poses.images == tuple(names)
     position, rotation = errors(found.poses, Pose.stack(poses), names, metric=True)
     assert position.max() < 0.01
     assert rotation.max() < 0.15
     assert "metres" in found.notes[0]
     relative = found.poses.cam_from_world[1] @ found.poses.cam_from_world[0].inverse()
-    torch.testing.assert_close(relative.translation, second.translation, rtol=0, atol=1e-9)
-    assert found.poses.frames == tuple(frame_of[n] for n in names)
+    torch.testing.assert_close(relative.translation, SECOND.translation, rtol=0, atol=1e-9)
+    assert found.poses.frames == tuple(f"{k}.png" for k in range(5) for _ in range(2))
+    assert not any("do not agree with the rig" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_a_rig_that_photos_contradict_is_named(monkeypatch, tmp_path):
+    """Its right camera is turned by 0.6 degrees from where the calibration has it."""
+    off = Pose.exp(torch.tensor([0.3, 0.4, 0.33, 0.0, 0.0, 0.0], dtype=torch.float64).deg2rad())
+    found, _ = posed_pair(off @ SECOND, monkeypatch, tmp_path)
+    (said,) = [note for note in found.notes if "do not agree with the rig" in note]
+    (told,) = re.findall(r"They put right ([\d.]+) \(± ([\d.]+)\) degrees", said)
+    turn_deg, sigma_deg = map(float, told)
+    assert 0.3 < turn_deg < 0.7 and sigma_deg < 0.2 * turn_deg
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames
+from omnilines.posing.rig_from_points import rig_doubts
 from omnilines.posing.still_rig import rig_that_stood_still
 from omnilines.progress import ProgressCallback, on_all_cores, one_torch_thread, silent
 from omnilines.records import ImagePoses
@@ -238,7 +239,8 @@ def _result(
         "as much as was assumed."
     )
     if grown.frames.has_scale:
-        return PhotoPoses(moved_poses(table, 1.0, first), lost, ("Lengths are metres, by the rig.", note))
+        doubts = rig_doubts(grown, names, options)
+        return PhotoPoses(moved_poses(table, 1.0, first), lost, ("Lengths are metres, by the rig.", note, *doubts))
     centre = table.cam_from_world.centre
     spread = float((centre - centre.mean(0)).square().sum(-1).mean().sqrt())
     return PhotoPoses(
