@@ -102,9 +102,8 @@ class GrowthOptions(NamedTuple):
     doubtful_share: float = 0.25
     """Share of the photos without a pose from which on those of the others are called doubtful: they share too few features for
     residuals to tell a wrong pose."""
-    rig_doubt: float = 2.0
-    """Times the variance of points with each photo free that it has with the rig as given, from which on the rig is doubted: it
-    then adds more than all else together."""
+    rig_doubt: float = 1.1
+    """Times as much as with each photo free that points scatter with the rig as given, from which on the rig is doubted."""
 
 
 class ResectionOptions(NamedTuple):

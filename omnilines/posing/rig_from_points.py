@@ -23,7 +23,7 @@ def rig_doubts(grown: Grown, cameras: Sequence[str], options: GrowthOptions = Gr
     photos = len(cameras)
     alone = Frames(torch.arange(photos), Pose.identity(photos))
     free = adjust_points(grown.seen, alone, PosesAndPoints(grown.cam_from_world, grown.points))
-    if not free.converged or grown.scale**2 <= options.rig_doubt * free.scale**2:
+    if not free.converged or grown.scale <= options.rig_doubt * free.scale:
         return ()
     scatter = (
         "The photos do not agree with the rig of the calibration: with its cameras where it has them points scatter "
