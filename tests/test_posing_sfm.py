@@ -18,7 +18,6 @@ from omnilines.files import read_photo, write_png
 from omnilines.posing import sfm
 from omnilines.posing.feature_matches import matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
-from omnilines.posing.kernels.match import best_near
 from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import MatchOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
@@ -132,7 +131,7 @@ SECOND = Pose.exp(torch.tensor([0.1, math.pi / 2, 0.05, 0.25, 0.02, 0.1], dtype=
 """The right camera of a pair from the left one."""
 
 
-def posed_pair(stated: Pose, monkeypatch, tmp_path):
+def posed_pair(stated: Pose, monkeypatch, tmp_path, **asked):
     """What structure from motion finds of five instants of a pair, `stated` as the right camera's place, and the true poses."""
     camera, _ = scene_camera("scaramuzza", (800, 600), 0, 220.0)
     rig = {"left": RigCamera(Pose.identity()), "right": RigCamera(stated)}
@@ -146,7 +145,7 @@ def posed_pair(stated: Pose, monkeypatch, tmp_path):
             poses.append(cam_from_rig @ at[k])
             features.append(described(camera, poses[-1], points, words, np.random.default_rng([len(names), 7])))
     camera_of, frame_of = {n: n.split("/")[0] for n in names}, {n: n.split("/")[1] for n in names}
-    return run_on(features, monkeypatch, tmp_path, calibration, names, camera_of, frame_of=frame_of), poses
+    return run_on(features, monkeypatch, tmp_path, calibration, names, camera_of, frame_of=frame_of, **asked), poses
 
 
 @pytest.mark.slow
@@ -173,6 +172,25 @@ def test_a_rig_that_photos_contradict_is_named(monkeypatch, tmp_path):
     (told,) = re.findall(r"They put right ([\d.]+) \(± ([\d.]+)\) degrees", said)
     turn_deg, sigma_deg = map(float, told)
     assert 0.3 < turn_deg < 0.7 and sigma_deg < 0.2 * turn_deg
+
+
+@pytest.mark.slow
+def test_a_rig_that_photos_contradict_is_found_anew_where_it_is_refined(monkeypatch, tmp_path):
+    """Its right camera is turned by 2.5 degrees and 20 mm off; one that is right stays, to the last digit."""
+    off = Pose.exp(torch.cat([torch.tensor([1.5, 2.0, 0.0]).double().deg2rad(), torch.tensor([0.012, 0.0, 0.016]).double()]))
+    found, poses = posed_pair(off @ SECOND, monkeypatch, tmp_path, refine_rig=True)
+    assert any("The rig is as photos tell" in note for note in found.notes)
+    apart = (found.rig["right"] @ found.rig["left"].inverse() @ SECOND.inverse()).log()
+    assert float(apart[:3].norm().rad2deg()) < 0.1
+    mounted = found.poses.cam_from_world[1] @ found.poses.cam_from_world[0].inverse()
+    torch.testing.assert_close(mounted.rotation, (found.rig["right"] @ found.rig["left"].inverse()).rotation, rtol=0, atol=1e-9)
+    # The scale is that of the calibration, whose cameras are farther apart.
+    names = [f"{name}/{k}.png" for k in range(5) for name in ("left", "right")]
+    stretched = float((off @ SECOND).translation.norm() / SECOND.translation.norm())
+    position, rotation = errors(found.poses, Pose.stack(poses).after_similarity(stretched, Pose.identity()), names, metric=True)
+    assert position.max() < 0.02 and rotation.max() < 0.15
+    right, _ = posed_pair(SECOND, monkeypatch, tmp_path, refine_rig=True)
+    assert not right.rig
 
 
 @pytest.mark.slow
@@ -275,6 +293,48 @@ def test_matches_near_the_epipolar_circle_are_the_true_ones():
     assert len(wrong & {tuple(p) for p in clear.tolist()}) < 0.1 * len(clear)
 
 
+def plainly_matched(a: Features, b: Features, b_from_a: Pose, tolerance: float, options: MatchOptions) -> set[tuple[int, int]]:
+    """`matched_near` by comparing all features with all."""
+    alike = (a.unit_descriptors() @ b.unit_descriptors().mT).numpy().astype(np.float64)
+    near = plain_near(alike, a.bearings.numpy(), b.bearings.numpy(), b_from_a, tolerance, options.guided_cosine)
+    best, first, second, back = near
+    clear = np.maximum(1.0 - first, 0.0) < options.guided_ratio**2 * np.maximum(1.0 - second, 0.0)
+    return {(i, j) for i, j in enumerate(best.tolist()) if j >= 0 and clear[i] and back[j] == i}
+
+
+@pytest.mark.parametrize("tolerance", [0.002, 0.03, 0.12, 0.3, 0.6, 1.2])
+@pytest.mark.parametrize("towards", [[0.3, -0.2, 0.9], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+def test_features_sought_by_rings_and_sectors_are_those_that_all_pairs_have(tolerance, towards):
+    """Also near the direction of the other camera, or opposite to it."""
+    rng = np.random.default_rng(3)
+    axis = unit(np.array(towards))
+    photos = []
+    for count in (300, 400):
+        rays = rng.standard_normal((count, 3))
+        rays[:60] = 0.2 * rays[:60] + np.where(np.arange(60) % 2, 1.0, -1.0)[:, None] * axis
+        descriptors = rng.integers(0, 40, (count, 128)) + 100 * (rng.integers(0, 30, (count, 1)) == np.arange(128) % 30)
+        photos.append(photo_of(unit(rays), descriptors.astype(np.uint8)))
+    b_from_a = Pose(Pose.exp(torch.as_tensor(0.3 * rng.standard_normal(6))).rotation, torch.as_tensor(2.0 * axis))
+    found = {tuple(pair) for pair in matched_near(*photos, b_from_a, tolerance).tolist()}
+    assert found == plainly_matched(*photos, b_from_a, tolerance, MatchOptions())
+
+
+def test_cameras_at_one_place_are_matched_near_the_direction_of_a_feature():
+    rng = np.random.default_rng(4)
+    rays = unit(rng.standard_normal((200, 3)))
+    turn = Pose(Pose.exp(torch.as_tensor(rng.standard_normal(6))).rotation, torch.zeros(3, dtype=torch.float64))
+    words = rng.integers(0, 256, (200, 128)).astype(np.uint8)
+    a, b = photo_of(rays, words), photo_of(rays @ turn.rotation.numpy().T, words)
+    torch.testing.assert_close(matched_near(a, b, turn, 0.01), torch.arange(200)[:, None].expand(200, 2), rtol=0, atol=0)
+    elsewhere = photo_of(np.roll(b.bearings.numpy(), 1, axis=0), words)
+    assert not any(i == j for i, j in matched_near(a, elsewhere, turn, 0.01).tolist())
+
+
+def photo_of(rays: np.ndarray, descriptors: np.ndarray) -> Features:
+    none = torch.zeros(len(rays), 2, 3, dtype=torch.float64)
+    return Features(torch.as_tensor(rays), none, none[:, 0, 0], torch.as_tensor(descriptors))
+
+
 def unit(v: np.ndarray) -> np.ndarray:
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
@@ -294,31 +354,6 @@ def plain_near(
     ordered = np.sort(np.concatenate([seen, np.full((len(a), 1), least)], 1), 1)
     best = np.where(near.any(1), seen.argmax(1), -1)
     return best, ordered[:, -1], ordered[:, -2], np.where(near.any(0), seen.argmax(0), -1)
-
-
-def test_the_compiled_search_along_half_circles_finds_what_all_pairs_have():
-    rng = np.random.default_rng(8)
-    a, b = unit(rng.standard_normal((300, 3))), unit(rng.standard_normal((400, 3)))
-    words = rng.integers(0, 256, (30, 128))
-    one, other = (
-        np.clip(words[rng.integers(0, 30, len(rays))] + rng.normal(0.0, 40.0, (len(rays), 128)), 0, 255).astype(np.uint8)
-        for rays in (a, b)
-    )
-    b_from_a = Pose.exp(torch.as_tensor(rng.standard_normal(6)))
-    tolerance, least = 0.1, 0.85
-    lengths = [np.linalg.norm(words_of.astype(np.float64), axis=-1) for words_of in (one, other)]
-    alike = one.astype(np.float64) @ other.T.astype(np.float64) / lengths[0][:, None] / lengths[1]
-    expected = plain_near(alike, a, b, b_from_a, tolerance, least)
-    far = a @ b_from_a.rotation.numpy().T
-    towards = unit(b_from_a.translation.numpy())
-    whole = np.arccos(np.clip(far @ towards, -1.0, 1.0))
-    circles = far, unit(np.cross(far, towards)), whole, np.ascontiguousarray(b.T)
-    found = best_near(one, lengths[0], other, lengths[1], *circles, tolerance, least)
-    for values, plain in zip((found[0], found[3]), (expected[0], expected[3]), strict=True):
-        np.testing.assert_array_equal(values, plain)
-    for values, plain in zip(found[1:3], expected[1:3], strict=True):
-        np.testing.assert_allclose(values, plain, rtol=1e-6)
-    assert int((expected[0] >= 0).sum()) > 50 and int((expected[2] > least).sum()) > 10 and (expected[0] < 0).any()
 
 
 def test_of_many_photos_each_is_compared_with_those_that_look_alike():

@@ -14,9 +14,9 @@ from omnilines.pipelines.pose_tables import unit_of_poses, unpaired_note
 from omnilines.pipelines.render import RenderOptions, render_targets
 from omnilines.posing.from_boards import is_mirrored, poses_from_boards
 from omnilines.posing.from_colmap import poses_from_colmap
-from omnilines.posing.from_rig import complete_from_rig, poses_from_rig
+from omnilines.posing.from_rig import complete_from_rig, poses_from_rig, with_rig
 from omnilines.posing.instant_names import instants
-from omnilines.posing.photo_poses import align_to, moved_poses
+from omnilines.posing.photo_poses import PhotoPoses, align_to, moved_poses
 from omnilines.records import ImagePoses, LengthUnit
 from omnilines.scenes import scene_camera
 
@@ -158,6 +158,30 @@ def test_a_rig_whose_photos_share_no_instant_gives_no_metres() -> None:
     assert unit_of_poses("sfm", calibration, together) is LengthUnit.METRES
     assert not unpaired_note(calibration, together)
     assert not unpaired_note(calibration, {"left/1.png": "left", "left/2.png": "left"})
+
+
+def test_a_rig_that_photos_tell_is_kept_with_their_poses(tmp_path, monkeypatch) -> None:
+    calibration = rig_calibration()
+    found = {name: some_poses(1, k)[0] for k, name in enumerate(calibration)}
+    photos = {f"{name}/1.png": np.zeros(calibration[name].image_size[::-1], np.uint8) for name in calibration}
+    poses = ImagePoses(tuple(photos), Pose.stack(list(found.values())), tuple(calibration), None, ("1",) * len(photos))
+    calls = []
+
+    def looks(*_: object, refine_rig: bool, **__: object) -> PhotoPoses:
+        calls.append(refine_rig)
+        return PhotoPoses(poses, rig=found if refine_rig else {})
+
+    monkeypatch.setattr("omnilines.pipelines.poses.sfm_poses", looks)
+    for refine_rig in (True, True, False):
+        posed = ol.estimate_poses(photos, calibration, refine_rig=refine_rig, work=tmp_path)
+        changed = with_rig(calibration, posed.rig)
+        if not refine_rig:
+            assert changed is calibration
+            continue
+        for name, pose in found.items():
+            torch.testing.assert_close(changed.rig[name].cam_from_rig.rotation, pose.rotation)
+            torch.testing.assert_close(changed.rig[name].cam_from_rig.translation, pose.translation)
+    assert calls == [True, False]  # the second of the three is read from the folder
 
 
 def test_missing_photos_of_a_rig_follow_from_the_known_ones():

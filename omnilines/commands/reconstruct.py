@@ -132,8 +132,8 @@ def reconstruct_photos(
             progress=progress,
         )  # fmt: skip
     posed = estimate_poses(
-        arcs, cameras, poses, pattern=pattern, body=body, options=options.posing, seed=options.seed, work=work,
-        progress=progress,
+        arcs, cameras, poses, pattern=pattern, body=body, refine_rig="rig" in options.refine, options=options.posing,
+        seed=options.seed, work=work, progress=progress,
     )  # fmt: skip
     inputs = {"photos": photo_folder(refs), "calibration": calibration, "poses": poses}
     scene = reconstruct(

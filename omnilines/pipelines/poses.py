@@ -120,6 +120,7 @@ def estimate_poses(
     *,
     pattern: str | None = None,
     body: str | Path | None = None,
+    refine_rig: bool = False,
     options: PosingOptions = PosingOptions(),
     seed: int = 0,
     work: str | Path | None = None,
@@ -131,8 +132,9 @@ def estimate_poses(
     size, found by its arcs), or the path of a poses.csv, a corners.csv of points of known place, a folder with a COLMAP model, or
     a file with poses of Metashape, Pix4D, Nerfstudio, OpenMVG or OpenSfM, or with a trajectory (`omnilines/posing/tools`), of a
     body where the file `body` says how the cameras sit on it (`omnilines/posing/body.py`).
-    Of a rig, a frame is the photos of one file name; poses of a table that names some of its cameras are completed. Poses that
-    were looked for in photos are kept in the folder `work`, where one is given.
+    Of a rig, a frame is the photos of one file name; poses of a table that names some of its cameras are completed. With
+    `refine_rig`, the places of its cameras are found anew where structure from motion contradicts them (`PhotoPoses.rig`).
+    Poses that were looked for in photos are kept in the folder `work`, where one is given.
 
     Raises InputError where the source does not fit the photos, and GeometryError where the photos give no poses.
 
@@ -157,7 +159,7 @@ def estimate_poses(
     if not isinstance(photos, PhotoArcs):
         check_source(source, refs, cameras, camera_of, pattern, body)
     try:
-        found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, body, options, seed), work, progress)
+        found = _found(_Asked(source, refs, arcs, cameras, camera_of, pattern, body, refine_rig, options, seed), work, progress)
     except GeometryError as error:
         raise GeometryError(f"{error}{'' if arcs is None else _of_copies(arcs)}") from None
     kind = kind_of(source)
@@ -198,6 +200,7 @@ class _Asked:
     camera_of: Mapping[str, str]
     pattern: str | None
     body: Path | None
+    refine_rig: bool
     options: PosingOptions
     seed: int
 
@@ -229,7 +232,7 @@ def _looked_for(asked: _Asked, work: Path, progress: ProgressCallback) -> PhotoP
         frames = instants(names, camera_of) if cameras.rig else None
         return sfm_poses(
             names, read, cameras, camera_of, work, frame_of=frames, progress=progress, seed=seed, options=options,
-            mask_of=lambda name: looked_at(photo_of[name], cameras[camera_of[name]].image_size),
+            mask_of=lambda name: looked_at(photo_of[name], cameras[camera_of[name]].image_size), refine_rig=asked.refine_rig,
         )  # fmt: skip
     if asked.source == "boards":
         target, otherwise = as_printed(
@@ -305,7 +308,8 @@ def _made_from(asked: _Asked) -> str:
             seen.update(np.ascontiguousarray(photo.read()).tobytes())
         if isinstance(photo.mask, np.ndarray):
             seen.update(np.packbits(photo.mask).tobytes())
-    options = repr((asked.source, asked.pattern, asked.options.stated, asked.seed, names, masks, known, rig, seen.hexdigest()))
+    asked_for = (asked.source, asked.pattern, asked.refine_rig, asked.options.stated, asked.seed)
+    options = repr((*asked_for, names, masks, known, rig, seen.hexdigest()))
     files = [*(photo.path for photo in asked.photos if isinstance(photo, PhotoRef)), *of_masks]
     return fingerprint(files, options, revision(*MADE_BY, __name__, as_printed.__module__, looked_at.__module__))
 
@@ -326,7 +330,9 @@ def _read(path: Path, inputs: str) -> PhotoPoses | None:
     named = {name: None if words[name] is None else tuple(words[name]) for name in ("cameras", "frames")}
     poses = ImagePoses(tuple(words["images"]), pose, named["cameras"], kept.get("covariance"), named["frames"])
     advice = tuple(Advice(limit, do) for limit, do in words["advice"])
-    return PhotoPoses(poses, words["left_out"], tuple(words["notes"]), advice=advice)
+    mounted = Pose(torch.as_tensor(kept["rig_rotation"]), torch.as_tensor(kept["rig_translation"]))
+    rig = {name: mounted[k] for k, name in enumerate(words["rig"])}
+    return PhotoPoses(poses, words["left_out"], tuple(words["notes"]), rig=rig, advice=advice)
 
 
 def _write(path: Path, inputs: str, found: PhotoPoses) -> None:
@@ -335,6 +341,9 @@ def _write(path: Path, inputs: str, found: PhotoPoses) -> None:
     words["advice"] = [(one.limit, one.do) for one in found.advice]
     words |= {"images": poses.images, "cameras": poses.cameras, "frames": poses.frames}
     arrays = {"rotation": poses.cam_from_world.rotation.numpy(), "translation": poses.cam_from_world.translation.numpy()}
+    words["rig"] = tuple(found.rig)
+    mounted = Pose.stack(list(found.rig.values())) if found.rig else Pose.identity(0)
+    arrays |= {"rig_rotation": mounted.rotation.numpy(), "rig_translation": mounted.translation.numpy()}
     if poses.covariance is not None:
         arrays["covariance"] = poses.covariance
     write_kept(path, inputs, {"words": np.array(json.dumps(words)), **arrays})

@@ -57,6 +57,7 @@ from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.pipelines.still_camera import still_share
 from omnilines.pipelines.supposed_errors import supposed_errors, unfollowed_errors
+from omnilines.posing.from_rig import with_rig
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt
@@ -134,6 +135,7 @@ def reconstruct(
     require_cameras_of(arcs, cameras)
     check_options(options, cameras, pose_sigma)
     stated = poses if isinstance(poses, ImagePoses) else poses.poses
+    cameras = cameras if isinstance(poses, ImagePoses) else with_rig(cameras, poses.rig)
     arcs, posed, given = _with_poses(arcs, poses, cameras, options, distance, work, progress, pose_sigma)
     if options.min_views == SceneOptions.min_views:
         # Nobody who brings three photos asks for lines of four.

@@ -5,7 +5,9 @@ pose known only features near the epipolar half circle count, so that fewer are 
 """
 
 import itertools
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,6 +22,8 @@ from omnilines.posing.options import MatchOptions
 WORDS, SAMPLED = 256, 20_000
 """Words that descriptors are told by, and descriptors that these are found from."""
 _BEHIND = -2.0
+SECTORS = 512
+"""Of the turn about the direction of the other camera; a half circle is sought in a few of them."""
 
 
 def pairs_to_compare(features: Sequence[Features], seed: int, options: MatchOptions = MatchOptions()) -> list[tuple[int, int]]:
@@ -64,7 +68,9 @@ def matched(a: Features, b: Features, options: MatchOptions = MatchOptions()) ->
     second = alike.max(1)
     alike[row, column] = first
     good = np.flatnonzero(_clear(first, second, options.faint_ratio))
-    good = good[alike[:, column[good]].argmax(0) == good]
+    good = good[first[good] == alike.max(0)[column[good]]]
+    # Of rows that are alike to the last digit the first.
+    good = good[np.sort(np.unique(column[good], return_index=True)[1])]
     pairs = torch.as_tensor(np.stack([good, column[good]], 1))
     return pairs[torch.as_tensor(_clear(first[good], second[good], options.clear_ratio))], pairs
 
@@ -78,17 +84,57 @@ def matched_near(
         return torch.zeros(0, 2, dtype=torch.long)
     # Not by BLAS, whose threads take longer to start than products so small.
     far = np.einsum("nk,ik->ni", a.bearings.numpy(), b_from_a.rotation.numpy())
-    towards = b_from_a.translation.numpy() / max(float(b_from_a.translation.norm()), 1e-300)
+    length = float(b_from_a.translation.norm())
+    # Of cameras at one place only the direction at infinity counts, whichever way a circle goes through it.
+    towards = b_from_a.translation.numpy() / length if length > 0 else np.array([0.0, 0.0, 1.0])
     normal = np.cross(far, towards)
     sine = np.sqrt(np.square(normal).sum(-1))
     normal /= np.maximum(sine, 1e-12)[:, None]
-    whole = np.arctan2(sine, np.einsum("nk,k->n", far, towards))
-    single = (np.ascontiguousarray(array, dtype=np.float32) for array in (far, normal, whole, b.bearings.numpy().T))
-    own, other = (a.descriptors.numpy(), a.lengths), (b.descriptors.numpy(), b.lengths)
-    best, first, second, back = best_near(*own, *other, *single, tolerance_rad, options.guided_cosine)
+    whole = np.arctan2(sine, np.einsum("nk,k->n", far, towards)) if length > 0 else np.zeros(len(a))
+    rings = _rings(b.bearings.numpy(), towards, tolerance_rad)
+    single = (np.ascontiguousarray(array, dtype=np.float32) for array in (far, normal, whole))
+    own, other = (a.descriptors.numpy(), a.lengths), (b.descriptors.numpy()[rings.order], b.lengths[rings.order])
+    seen = np.ascontiguousarray(b.bearings.numpy()[rings.order], dtype=np.float32)
+    best, first, second, back = best_near(
+        *own, *other, *single, _sector(far, towards), seen, rings.start, rings.reach, tolerance_rad, options.guided_cosine
+    )
     row = np.flatnonzero((best >= 0) & _clear(first, second, options.guided_ratio))
     row = row[back[best[row]] == row]
-    return torch.as_tensor(np.stack([row, best[row]], 1))
+    return torch.as_tensor(np.stack([row, rings.order[best[row]]], 1))
+
+
+class _Rings(NamedTuple):
+    """Features in the order of rings about a direction, and of sectors in them."""
+
+    order: Int[np.ndarray, " m"]
+    start: Int[np.ndarray, "rings sectors+1"]
+    """Where each sector of a ring begins in that order."""
+    reach: Int[np.ndarray, " rings"]
+    """Sectors beside its own that what is near a half circle from the direction may lie in."""
+
+
+def _rings(bearings: Float[np.ndarray, "m 3"], towards: Float[np.ndarray, "3"], tolerance_rad: float) -> _Rings:
+    """Each ring ends where the sine of the angle from the direction is half of where it began: what is near a half circle there
+    is turned from it by an angle of sine <= tolerance / sine. In the last ring, about the direction or its opposite, all is."""
+    count = max(0, math.floor(-math.log2(2.0 * tolerance_rad)))
+    sine = np.sqrt(np.square(np.cross(bearings, towards)).sum(-1))
+    ring = np.minimum(np.floor(-np.log2(np.clip(sine, 1e-12, 1.0))).astype(np.int64), count)
+    place = ring * SECTORS + _sector(bearings, towards)
+    starts = np.concatenate([[0], np.cumsum(np.bincount(place, minlength=(count + 1) * SECTORS))])
+    within = np.arange(SECTORS + 1) + SECTORS * np.arange(count + 1)[:, None]
+    turned = np.arcsin(tolerance_rad * 2.0 ** np.arange(1, count + 1))
+    # One more, for what rounding puts on the other side of a border.
+    reach = np.append(np.ceil(turned * SECTORS / (2.0 * np.pi)).astype(np.int64) + 1, SECTORS)
+    return _Rings(np.argsort(place, kind="stable"), starts[within], reach)
+
+
+def _sector(bearings: Float[np.ndarray, "n 3"], towards: Float[np.ndarray, "3"]) -> Int[np.ndarray, " n"]:
+    """Which of the equal sectors about a direction each bearing lies in."""
+    # The axis that the direction is farthest from is one to count from.
+    first = np.cross(towards, np.eye(3)[np.abs(towards).argmin()])
+    x, y = bearings @ first, bearings @ np.cross(towards, first)
+    turn = np.arctan2(y, x) / (2.0 * np.pi) + 0.5
+    return np.minimum((turn * SECTORS).astype(np.int64), SECTORS - 1)
 
 
 def _clear(first: Float32[np.ndarray, " n"], second: Float32[np.ndarray, " n"], ratio: float) -> Bool[np.ndarray, " n"]:

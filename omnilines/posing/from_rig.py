@@ -2,10 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import torch
 
 from camera_models import Calibration, InputError
+from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
 from camera_models.wording import listed
 from omnilines.geometry.rig_readings import refuse_rig_reading
@@ -79,6 +81,14 @@ def complete_from_rig(
             continue
         kept.append(photo)
     return PhotoPoses(image_poses(kept, found, [camera_of[p] for p in kept], [frame_of[p] for p in kept]), lost)
+
+
+def with_rig(calibration: Calibration, rig: Mapping[str, Pose]) -> Calibration:
+    """A calibration whose cameras sit where photos tell (`PhotoPoses.rig`), how well is not known; as it is where they tell
+    none."""
+    if not rig:
+        return calibration
+    return replace(calibration, rig={name: RigCamera(rig[name]) for name in calibration.rig})
 
 
 def _rig_at(

@@ -97,13 +97,12 @@ def grow(
 
     Raises GeometryError where no points are left.
     """
-    grown, sigma = start, _typical_sigma(features)
-    tolerances = options.growth.tolerances_sigmas
+    grown, tolerances = start, options.growth.tolerances_sigmas
     for number, tolerance in enumerate(tolerances):
+        words = f"matching again and refining poses, round {number + 1} of {len(tolerances)}"
         refine = partial(
-            _refined, features=features, matches=matches, limit=tolerance, tolerance_rad=tolerance * sigma, options=options,
-            tell=partial(progress, f"matching again and refining poses, round {number + 1} of {len(tolerances)}"),
-        )  # fmt: skip
+            _refined, features=features, matches=matches, limit=tolerance, options=options, tell=partial(progress, words)
+        )
         grown = refine(grown)
         if number < len(tolerances) - 1:
             grown = refine(_checked(_Points(grown, features, matches, options), seed, progress))
@@ -113,6 +112,21 @@ def grow(
                     break
                 grown = refine(more)
     return grown
+
+
+def widely_matched(
+    grown: Grown,
+    features: Sequence[Features],
+    matches: Matches,
+    *,
+    tell: Callable[[int, int], None],
+    options: PosingOptions = PosingOptions(),
+) -> Grown:
+    """Points found anew by matches in the widest circles, and poses refined with them, once.
+
+    Raises GeometryError where no points are left.
+    """
+    return _refined(grown, features, matches, options.growth.tolerances_sigmas[0], options, tell)
 
 
 def _typical_sigma(features: Sequence[Features]) -> float:
@@ -125,11 +139,12 @@ def _refined(
     features: Sequence[Features],
     matches: Matches,
     limit: float,
-    tolerance_rad: float,
     options: PosingOptions,
     tell: Callable[[int, int], None],
 ) -> Grown:
-    """New guided matches, points from them, and two adjustments: with all, and without what does not fit."""
+    """New guided matches, up to a limit in standard deviations of a keypoint, points from them, and two adjustments: with all,
+    and without what does not fit."""
+    tolerance_rad = limit * _typical_sigma(features)
     poses, known = grown.cam_from_world, grown.photo_known
     pairs, guided = [(i, j) for i, j in matches.clear if known[i] and known[j]], {}
     for done, (i, j) in enumerate(pairs):

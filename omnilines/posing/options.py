@@ -104,6 +104,8 @@ class GrowthOptions(NamedTuple):
     residuals to tell a wrong pose."""
     rig_doubt: float = 1.1
     """Times as much as with each photo free that points scatter with the rig as given, from which on the rig is doubted."""
+    rig_rounds: int = 10
+    """Times at most that a doubted rig is found anew from points, and photos are matched again with it, where it is refined."""
 
 
 class ResectionOptions(NamedTuple):

@@ -29,6 +29,8 @@ class PhotoPoses:
     """The direction (unit) of the world that is up, where the scene that they are of says so."""
     points: Mapping[str, PosePoints] = field(default_factory=dict)
     """Of photos whose pose was found from points of known place: with another camera it would be another one."""
+    rig: Mapping[str, Pose] = field(default_factory=dict)
+    """cam_from_rig of every camera where photos tell others than the calibration: the poses are with these."""
     advice: tuple[Advice, ...] = ()
     """What puts the poses in doubt, and what to do about it."""
 

@@ -1,7 +1,7 @@
 """The pose of one camera from bearings to known points, wherever on the sphere they lie and with many wrong ones among them.
 
-1. Poses of random triples (p3p.py), scored by sum min(angle^2, limit^2) over all points (MSAC: P. Torr, A. Zisserman, MLESAC,
-   CVIU 2000), until a better one is improbable.
+1. Poses of random triples (p3p.py), scored by sum min(angle^2, limit^2) over all points, or many of them drawn at random (MSAC:
+   P. Torr, A. Zisserman, MLESAC, CVIU 2000), until a better one is improbable.
 2. The best few are refined (camera_models/pose_fit.py) with the loss log(1 + r^2 / b^2) of the residuals in standard
    deviations (bearing_residual.py), over all points; the one with the least cost is taken.
 3. Its covariance is that of least squares over the inliers.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import GeometryError
@@ -26,6 +26,8 @@ MIN_POINTS = 4
 BATCH, MAX_BATCHES = 256, 40
 CONFIDENCE = 1e-4
 """Probability of having missed a triple without a wrong point at which the search ends."""
+SCORED = 1000
+"""Points that triples are scored by: of one in fifty that agrees there are twenty, three times as many as by chance and noise."""
 REFINED = 4
 _STEPS, _LEAST_GAIN = 30, 1e-12
 
@@ -85,11 +87,14 @@ def _best_of_triples(
 ) -> Pose:
     """The poses of the best few triples; raises GeometryError where no triple has one."""
     rng = np.random.default_rng(seed)
+    if len(bearings) > SCORED:
+        some = torch.as_tensor(rng.choice(len(bearings), SCORED, replace=False))
+        bearings, points, sigma = bearings[some], points[some], sigma[some]
     count = len(bearings)
     limit = (2.0 * torch.tan(0.5 * (inlier_sigmas * sigma).clamp_max(1.0))).square()
     best_cost, best = torch.zeros(0, dtype=torch.float64), Pose.identity(0)
     for batch in range(1, MAX_BATCHES + 1):
-        triples = torch.as_tensor(rng.random((BATCH, count)).argpartition(2, axis=1)[:, :3].copy())
+        triples = torch.as_tensor(_triples(rng, count))
         poses, found = p3p(bearings[triples], points[triples])
         poses = poses[found]
         if len(poses):
@@ -111,6 +116,15 @@ def _best_of_triples(
             "give others."
         )
     return best
+
+
+def _triples(rng: np.random.Generator, count: int) -> Int[np.ndarray, "k 3"]:
+    """Three different numbers below `count`, a batch of times."""
+    first, second, third = rng.integers(count - np.arange(3), size=(BATCH, 3)).T
+    second = second + (second >= first)
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    third = third + (third >= low)
+    return np.stack([first, second, third + (third >= high)], 1)
 
 
 def _refined(

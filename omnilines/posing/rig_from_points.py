@@ -1,7 +1,8 @@
-"""Whether photos put the cameras of a rig where its calibration has them, by points that several of them see."""
+"""Whether photos put the cameras of a rig where its calibration has them, and where else, by points that several of them see."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -17,53 +18,164 @@ LEAST_INSTANTS = 3
 """From which a camera's place in the rig is told, and how well."""
 
 
+@dataclass(frozen=True)
+class _Alone:
+    """What points tell with each photo free to move by itself."""
+
+    converged: bool
+    scale: float
+    """As that of `Grown`."""
+    cam_from_world: Pose
+    """Of every photo, in metres as far as the rig tells them."""
+    pairs: Mapping[str, Sequence[tuple[int, int]]]
+    """Of each camera but that of most photos: its photos (second) with those of that camera at the same instants (first)."""
+    first: str
+    """The camera of most photos."""
+
+
+@dataclass(frozen=True)
+class BetterRig:
+    """Photos placed with the rig that points tell."""
+
+    grown: Grown
+    note: str
+    """What is to be said of it."""
+
+
 def rig_doubts(grown: Grown, cameras: Sequence[str], options: GrowthOptions = GrowthOptions()) -> tuple[str, ...]:
     """What is to be said of the rig where points scatter far less once each photo moves by itself; `cameras` are those of the
     photos. Matches were chosen with the rig as given, so that it may be farther off than is said."""
-    photos = len(cameras)
-    alone = Frames(torch.arange(photos), Pose.identity(photos))
-    free = adjust_points(grown.seen, alone, PosesAndPoints(grown.cam_from_world, grown.points))
-    if not free.converged or grown.scale <= options.rig_doubt * free.scale:
+    alone = _alone(grown, cameras)
+    if not alone.converged or not _doubted(grown, alone, options):
         return ()
     scatter = (
         "The photos do not agree with the rig of the calibration: with its cameras where it has them points scatter "
-        f"{grown.scale:.2f} times as much as was assumed, with each photo free {free.scale:.2f} times."
+        f"{grown.scale:.2f} times as much as was assumed, with each photo free {alone.scale:.2f} times."
     )
     remedy = (
-        "Calibrate the rig anew, or give a calibration of its cameras without their places (lengths are then open); where the "
-        "photos of one instant were taken one after another, the rig did not stand still between them."
+        "Refine the rig (`refine` lines,poses,rig), calibrate it anew, or give a calibration of its cameras without their places "
+        "(lengths are then open); where the photos of one instant were taken one after another, the rig did not stand still "
+        "between them."
     )
-    told = _places(grown, free.state.rig_from_world, cameras)
+    told = _places(alone, grown.frames.cam_from_rig)
     return (" ".join((scatter, *((f"They put {listed(told)} from there.",) if told else ()), remedy)),)
 
 
-def _places(grown: Grown, cam_from_world: Pose, cameras: Sequence[str]) -> list[str]:
-    """How far photos put each camera from its place beside that which most photos are of, in the median of the instants, and how
-    uncertain that is by their spread."""
-    seen = torch.bincount(grown.seen.photo, minlength=len(cameras)) > 0
-    at = {(cameras[k], int(grown.frames.of_photo[k])): k for k in range(len(cameras)) if seen[k]}
+def with_rig_of_points(
+    grown: Grown,
+    cameras: Sequence[str],
+    matched_again: Callable[[Grown], Grown],
+    grown_again: Callable[[Grown], Grown],
+    options: GrowthOptions = GrowthOptions(),
+) -> BetterRig | None:
+    """Photos grown again with the rig that points tell where that of the calibration is doubted; None where it is not, where it
+    remains as doubtful as it was, and where no points tell the place of a camera.
+
+    Matches are chosen with a rig and hold it near where it was, so it is found and they are chosen in turn (`matched_again`),
+    until points no longer doubt it.
+    """
+    first = alone = _alone(grown, cameras)
+    given, found = grown.frames.cam_from_rig, grown
+    for _ in range(options.rig_rounds):
+        if not _doubted(found, alone, options) or not _tell_all(alone):
+            break
+        found = matched_again(_moved(found, alone, cameras))
+        alone = _alone(found, cameras)
+    if found is grown:
+        return None
+    found = grown_again(found)
+    alone = _alone(found, cameras)
+    if not found.scale / alone.scale < grown.scale / first.scale:
+        return None
+    told = listed(_places(alone, given))
+    return BetterRig(
+        found,
+        f"The rig is as photos tell, which did not agree with that of the calibration: they put {told} from there, and points "
+        f"scatter {found.scale:.2f} times as much as was assumed; with the rig of the calibration {grown.scale:.2f} times."
+        + _of_scale(given, found.frames.cam_from_rig, cameras),
+    )
+
+
+def _of_scale(given: Pose, found: Pose, cameras: Sequence[str]) -> str:
+    """How well the rig of the calibration tells lengths, by how far the distances of its cameras are off each other."""
+    rows = [cameras.index(name) for name in dict.fromkeys(cameras)]
+    first, second = torch.combinations(torch.tensor(rows)).T
+    stated, seen = ((rig.centre[first] - rig.centre[second]).norm(dim=-1) for rig in (given, found))
+    apart = stated > 0
+    if int(apart.sum()) < 2:
+        return " Lengths rest on the distance of its cameras in the calibration."
+    off = float((seen[apart] / stated[apart] - 1.0).square().mean().sqrt())
+    return (
+        " Lengths rest on the distances of its cameras in the calibration, which differ from those found by "
+        f"{rounded(100.0 * off)} percent (RMS): lengths are uncertain by about as much."
+    )
+
+
+def _alone(grown: Grown, cameras: Sequence[str]) -> _Alone:
+    photos = len(cameras)
+    each = Frames(torch.arange(photos), Pose.identity(photos))
+    free = adjust_points(grown.seen, each, PosesAndPoints(grown.cam_from_world, grown.points))
+    seen = torch.bincount(grown.seen.photo, minlength=photos) > 0
+    at = {(cameras[k], int(grown.frames.of_photo[k])): k for k in range(photos) if seen[k]}
     count = {name: sum(camera == name for camera, _ in at) for name in dict.fromkeys(cameras)}
     first = max(count, key=lambda name: count[name])
     pairs = {
-        name: [(at[name, frame], own) for (camera, frame), own in at.items() if camera == first and (name, frame) in at]
+        name: [(at[first, frame], own) for (camera, frame), own in at.items() if camera == name and (first, frame) in at]
         for name in count
         if name != first
     }
-    scale, told = _scale(grown.frames.cam_from_rig, cam_from_world, [pair for own in pairs.values() for pair in own]), []
-    for name, own in pairs.items():
+    poses = free.state.rig_from_world
+    scale = _scale(grown.frames.cam_from_rig, poses, [pair for own in pairs.values() for pair in own])
+    return _Alone(free.converged, free.scale, Pose(poses.rotation, scale * poses.translation), pairs, first)
+
+
+def _doubted(grown: Grown, alone: _Alone, options: GrowthOptions) -> bool:
+    return grown.scale > options.rig_doubt * alone.scale
+
+
+def _tell_all(alone: _Alone) -> bool:
+    return bool(alone.pairs) and min(map(len, alone.pairs.values())) >= LEAST_INSTANTS
+
+
+def _off(alone: _Alone, given: Pose, name: str) -> Float[Tensor, "n 6"]:
+    """How far every instant puts a camera from its place beside the first in a rig (cam_from_rig of every photo)."""
+    own = alone.pairs[name]
+    return (_beside(alone.cam_from_world, own) @ _beside(given, own).inverse()).log()
+
+
+def _moved(grown: Grown, alone: _Alone, cameras: Sequence[str]) -> Grown:
+    """With the cameras of the rig where they are in the median of the instants, and the instants where their photos are."""
+    given, frame = grown.frames.cam_from_rig, grown.frames.of_photo
+    first_from_rig = given[cameras.index(alone.first)]
+    cam_from_rig = {alone.first: first_from_rig}
+    for name, own in alone.pairs.items():
+        cam_from_first = Pose.exp(_off(alone, given, name).median(0).values) @ _beside(given, own[:1])[0]
+        cam_from_rig[name] = cam_from_first @ first_from_rig
+    poses = [grown.rig_from_world[k] for k in range(len(grown.known))]
+    # The first camera's last: an instant is where its photo is.
+    for photo in sorted(torch.unique(grown.seen.photo).tolist(), key=lambda photo: cameras[photo] == alone.first):
+        poses[int(frame[photo])] = cam_from_rig[cameras[photo]].inverse() @ alone.cam_from_world[photo]
+    frames = Frames(frame, Pose.stack([cam_from_rig[name] for name in cameras]))
+    return replace(grown, frames=frames, rig_from_world=Pose.stack(poses))
+
+
+def _places(alone: _Alone, given: Pose) -> list[str]:
+    """How far photos put each camera from its place beside that which most photos are of, in the median of the instants, and how
+    uncertain that is by their spread."""
+    told = []
+    for name, own in alone.pairs.items():
         if len(own) < LEAST_INSTANTS:
             continue
-        given, found = (_beside(poses, own) for poses in (grown.frames.cam_from_rig, cam_from_world))
-        off = (Pose(found.rotation, scale * found.translation) @ given.inverse()).log()
+        off = _off(alone, given, name)
         turn, shift = (_with_sigma(part) for part in (off[:, :3].rad2deg(), 1e3 * off[:, 3:]))
         told.append(f"{name} {turn} degrees and {shift} mm")
     return told
 
 
 def _beside(poses: Pose, pairs: Sequence[tuple[int, int]]) -> Pose:
-    """The first camera of each pair in the frame of the second."""
+    """The second camera of each pair from the frame of the first: second_from_first."""
     first, second = (list(rows) for rows in zip(*pairs, strict=True))
-    return poses[first] @ poses[second].inverse()
+    return poses[second] @ poses[first].inverse()
 
 
 def _scale(given: Pose, found: Pose, pairs: Sequence[tuple[int, int]]) -> float:

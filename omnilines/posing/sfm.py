@@ -6,6 +6,7 @@ matches, resection of what COLMAP could not place, and a last adjustment of all 
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,12 +23,12 @@ from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
 from omnilines.posing.from_rig import cam_from_rig_of
-from omnilines.posing.growth import Grown, Matches, PairMatches, grow, start_from
+from omnilines.posing.growth import Grown, Matches, PairMatches, grow, start_from, widely_matched
 from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames
-from omnilines.posing.rig_from_points import rig_doubts
+from omnilines.posing.rig_from_points import rig_doubts, with_rig_of_points
 from omnilines.posing.still_rig import rig_that_stood_still
 from omnilines.progress import ProgressCallback, on_all_cores, one_torch_thread, silent
 from omnilines.records import ImagePoses
@@ -61,6 +62,7 @@ def sfm_poses(
     seed: int = 0,
     options: PosingOptions = PosingOptions(),
     mask_of: Callable[[str], Bool[np.ndarray, "h w"] | None] = lambda _: None,
+    refine_rig: bool = False,
 ) -> PhotoPoses:
     """`cam_from_world` of photos from what they have in common, with covariances (left perturbation, rad and world units).
 
@@ -69,7 +71,8 @@ def sfm_poses(
     `cameras` may be a `Calibration`: features beyond the angles that its estimates are supported by are then left out, and where
     it holds a rig and `frame_of` names the instants, the cameras of a frame move as one and lengths are metres. Otherwise the
     scale is open: the root mean square distance of the cameras from their middle is then 1. The world is the frame of the first
-    photo that has a pose (of a rig: its rig frame). COLMAP works in `work_folder`/colmap.
+    photo that has a pose (of a rig: its rig frame). With `refine_rig`, photos that contradict the places of the rig's cameras
+    tell others (`PhotoPoses.rig`). COLMAP works in `work_folder`/colmap.
 
     Raises InputError where a photo has not the size of its camera, and GeometryError where no three
     photos (frames) could be joined.
@@ -89,10 +92,21 @@ def sfm_poses(
     work = Path(work_folder)
 
     def placed(parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
+        again = partial(grow, features=features, matches=matches, seed=seed, progress=progress, options=options)
+        tell = partial(progress, "finding the rig anew")
+        wide = partial(widely_matched, features=features, matches=matches, tell=tell, options=options)
         with one_torch_thread():
-            start = start_from(Frames(torch.tensor(frame), rig), parts[0])
-            grown = grow(start, features, matches, seed=seed, progress=progress, options=options)
-        return _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
+            grown = again(start_from(Frames(torch.tensor(frame), rig), parts[0]))
+            found = _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
+            if not grown.frames.has_scale:
+                return found
+            better = with_rig_of_points(grown, names, wide, again, options.growth) if refine_rig else None
+            if better is None:
+                return replace(found, notes=(*found.notes, *rig_doubts(grown, names, options.growth)))
+        found = _result(photos, names, frame_names, features, better.grown, parts, options.growth)
+        given = {name: mounted.cam_from_rig for name, mounted in calibration.rig.items()}
+        own = {name: better.grown.frames.cam_from_rig[k] for k, name in enumerate(names)}
+        return replace(found, notes=(*found.notes, better.note), rig={**given, **own})
 
     parts, matches, told = _joined(given, matches, work, seed, progress, options)
     found = placed(parts, matches)
@@ -239,8 +253,7 @@ def _result(
         "as much as was assumed."
     )
     if grown.frames.has_scale:
-        doubts = rig_doubts(grown, names, options)
-        return PhotoPoses(moved_poses(table, 1.0, first), lost, ("Lengths are metres, by the rig.", note, *doubts))
+        return PhotoPoses(moved_poses(table, 1.0, first), lost, ("Lengths are metres, by the rig.", note))
     centre = table.cam_from_world.centre
     spread = float((centre - centre.mean(0)).square().sum(-1).mean().sqrt())
     return PhotoPoses(
