@@ -28,7 +28,7 @@ from omnilines.posing.features import Features
 from omnilines.posing.from_colmap import pose_of
 from omnilines.posing.options import MapperOptions, PosingOptions
 from omnilines.posing.rotations import agreeing_pairs
-from omnilines.progress import ProgressCallback, interruptible, silent
+from omnilines.progress import ProgressCallback, interruptible, on_all_cores, silent
 
 
 @dataclass(frozen=True)
@@ -179,12 +179,12 @@ def _write(
         for k in members:
             record.add_data_id(images[k].data_id)
         database.write_frame(record, use_frame_id=True)
-    verified = {}
-    for done, (pair, rows) in enumerate(given.matches.items()):
-        progress("checking pairs of photos", done, len(given.matches))
-        matches, geometry = _verified(module, seen[pair[0]], seen[pair[1]], rows.numpy(), seed, its)
-        if geometry is not None:
-            verified[pair] = matches, geometry
+
+    def verify(pair: tuple[int, int]) -> tuple[Any, Any]:
+        return _verified(module, seen[pair[0]], seen[pair[1]], given.matches[pair].numpy(), seed, its)
+
+    every = on_all_cores(verify, list(given.matches), "checking pairs of photos", progress)
+    verified = {pair: found for pair, found in zip(given.matches, every, strict=True) if found[1] is not None}
     relative = {pair: (one.cam2_from_cam1.rotation.matrix(), len(one.inlier_matches)) for pair, (_, one) in verified.items()}
     rays, agreeing = {}, set(agreeing_pairs(relative, len(images), its))
     for (i, j), (matches, found) in verified.items():

@@ -5,7 +5,7 @@ points together; the circles become narrower as the poses become better. In betw
 points that their features match.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -23,7 +23,7 @@ from omnilines.posing.options import PosingOptions
 from omnilines.posing.point_adjustment import Frames, PosesAndPoints, adjust_points
 from omnilines.posing.resection import resect
 from omnilines.posing.tracks import Observations, compact, triangulated_tracks
-from omnilines.progress import ProgressCallback, silent
+from omnilines.progress import ProgressCallback, on_all_cores, silent
 
 PairMatches = Mapping[tuple[int, int], Int[Tensor, "_ 2"]]
 
@@ -101,7 +101,7 @@ def grow(
     for number, tolerance in enumerate(tolerances):
         words = f"matching again and refining poses, round {number + 1} of {len(tolerances)}"
         refine = partial(
-            _refined, features=features, matches=matches, limit=tolerance, options=options, tell=partial(progress, words)
+            _refined, features=features, matches=matches, limit=tolerance, options=options, stage=words, progress=progress
         )
         grown = refine(grown)
         if number < len(tolerances) - 1:
@@ -119,14 +119,15 @@ def widely_matched(
     features: Sequence[Features],
     matches: Matches,
     *,
-    tell: Callable[[int, int], None],
+    stage: str,
+    progress: ProgressCallback = silent,
     options: PosingOptions = PosingOptions(),
 ) -> Grown:
     """Points found anew by matches in the widest circles, and poses refined with them, once.
 
     Raises GeometryError where no points are left.
     """
-    return _refined(grown, features, matches, options.growth.tolerances_sigmas[0], options, tell)
+    return _refined(grown, features, matches, options.growth.tolerances_sigmas[0], options, stage, progress)
 
 
 def _typical_sigma(features: Sequence[Features]) -> float:
@@ -140,17 +141,20 @@ def _refined(
     matches: Matches,
     limit: float,
     options: PosingOptions,
-    tell: Callable[[int, int], None],
+    stage: str,
+    progress: ProgressCallback,
 ) -> Grown:
     """New guided matches, up to a limit in standard deviations of a keypoint, points from them, and two adjustments: with all,
     and without what does not fit."""
     tolerance_rad = limit * _typical_sigma(features)
     poses, known = grown.cam_from_world, grown.photo_known
-    pairs, guided = [(i, j) for i, j in matches.clear if known[i] and known[j]], {}
-    for done, (i, j) in enumerate(pairs):
-        tell(done, len(pairs))
-        guided[i, j] = matched_near(features[i], features[j], poses[j] @ poses[i].inverse(), tolerance_rad, options.matches)
-    tell(len(pairs), len(pairs))
+
+    def near(pair: tuple[int, int]) -> Int[Tensor, "_ 2"]:
+        i, j = pair
+        return matched_near(features[i], features[j], poses[j] @ poses[i].inverse(), tolerance_rad, options.matches)
+
+    pairs = [(i, j) for i, j in matches.clear if known[i] and known[j]]
+    guided = dict(zip(pairs, on_all_cores(near, pairs, stage, progress), strict=True))
     parallax = options.growth.min_parallax_rad
     seen, points = triangulated_tracks(features, guided, poses, limit, parallax)
     plain = _keys(features, matches.faint)

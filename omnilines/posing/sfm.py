@@ -93,8 +93,8 @@ def sfm_poses(
 
     def placed(parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
         again = partial(grow, features=features, matches=matches, seed=seed, progress=progress, options=options)
-        tell = partial(progress, "finding the rig anew")
-        wide = partial(widely_matched, features=features, matches=matches, tell=tell, options=options)
+        words = "finding the rig anew"
+        wide = partial(widely_matched, features=features, matches=matches, stage=words, progress=progress, options=options)
         with one_torch_thread():
             grown = again(start_from(Frames(torch.tensor(frame), rig), parts[0]))
             found = _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
