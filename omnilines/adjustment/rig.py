@@ -14,12 +14,22 @@ from omnilines.adjustment.state import Rig
 from omnilines.geometry.rig_readings import refuse_rig_reading
 from omnilines.records import ImagePoses
 
+ROUNDED_RAD, ROUNDED_M = 1e-4, 1e-4
+"""Poses that a rig gave lie so near to it, as tables round them."""
+
 
 def rig_of_photos(
-    poses: ImagePoses, cameras: Sequence[str], rig: Mapping[str, RigCamera], needed: bool, most_turned_deg: float
+    poses: ImagePoses,
+    cameras: Sequence[str],
+    rig: Mapping[str, RigCamera],
+    needed: bool,
+    most_turned_deg: float,
+    *,
+    held: bool = False,
 ) -> tuple[Rig | None, Pose]:
     """The rig with the frame and camera of every photo, and `rig_from_world` of every frame, from its first photo; None and
-    `cam_from_world` of every photo where the poses name no frames or none of two photos, or the calibration has no rig.
+    `cam_from_world` of every photo where the poses name no frames or none of two photos, or the calibration has no rig, and where
+    poses that are `held` are not as the rig has them.
 
     Raises InputError where a rig is `needed` and not known, or not from its frames, a photo names no camera, or its pose is
     turned against the rig by more than `most_turned_deg`, or the poses say that the rig is written in another way.
@@ -58,7 +68,12 @@ def rig_of_photos(
             f"Photos of one frame were expected to be turned as the rig says, found {poses.images[worst]} "
             f"{math.degrees(float(apart[worst])):.0f} degrees off; check the columns frame and camera of poses.csv."
         )
-    return Rig(frame, camera, cam_from_rig), rig_from_world
+    mounted = Rig(frame, camera, cam_from_rig)
+    if held:
+        off = (cam_from_rig[camera] @ rig_from_world[frame] @ poses.cam_from_world.inverse()).log()
+        if float(off[:, :3].norm(dim=-1).max()) > ROUNDED_RAD or float(off[:, 3:].norm(dim=-1).max()) > ROUNDED_M:
+            return None, poses.cam_from_world
+    return mounted, rig_from_world
 
 
 def _require_linked(frame: Int[Tensor, " n"], camera: Int[Tensor, " n"], cameras: Sequence[str]) -> None:

@@ -106,7 +106,8 @@ def reconstruct_lines(
     names, unplaced = segments.tracks, torch.zeros(len(poses), dtype=torch.bool)
 
     def frames_of(photos: ImagePoses) -> tuple[Rig | None, Pose]:
-        return rig_of_photos(photos, list(cameras), rig or {}, refine_rig, options.most_turned_deg)
+        held = not (refine_poses or refine_rig)
+        return rig_of_photos(photos, list(cameras), rig or {}, refine_rig, options.most_turned_deg, held=held)
 
     mounted, frames = frames_of(poses)
     prior = None if known is None else known.prior(poses, lambda photos: frames_of(photos)[1])

@@ -37,6 +37,7 @@ from omnilines.pipelines.judged_tracks import Misfit, judge_tracks, limits_px
 from omnilines.pipelines.moved_photos import photos_far_from_given
 from omnilines.pipelines.options import OF_PHOTOS, OF_TABLES, SceneOptions
 from omnilines.pipelines.part_workers import check_partition, part_workers
+from omnilines.pipelines.rig_of_poses import rig_by_poses
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.pipelines.supposed_errors import supposed_errors, unfollowed_errors
@@ -85,7 +86,8 @@ def adjust(
     if idle:
         raise InputError(f"`{idle[0]}` counts only with photos, found matched segments; leave that option as it is.")
     check_prior(pose_sigma, options)
-    cameras, table = calibration_of(camera), _table_of(poses, segments)
+    table = _table_of(poses, segments)
+    cameras, of_rig = rig_by_poses(table, calibration_of(camera), options)
     known = None if pose_sigma is None else KnownPoses(table, *pose_sigma)
     check_partition(options, rig=bool(cameras.rig) and table.frames is not None, prior=known is not None)
     require_inside(segments, cameras_of_images(segments, table, cameras), cameras, options.judge)
@@ -97,7 +99,7 @@ def adjust(
     points = poses.points if isinstance(poses, PhotoPoses) else {}
     supposed = supposed_errors(scene.lines, *_fitting(scene), scene.poses, cameras, options, points, prior=known)
     scene = _with_calibration_errors(scene, points, cameras, options, known)
-    told = (*scene.table.left_out, *copied_segments(segments), *(() if misfit is None else misfit.notes))
+    told = (*scene.table.left_out, *copied_segments(segments), *of_rig, *(() if misfit is None else misfit.notes))
     told += unfollowed_errors(cameras, options, supposed)
     unit, up = (poses.unit, poses.up) if isinstance(poses, PhotoPoses) else (LengthUnit.METRES, None)
     scene = replace(scene, lines=replace(scene.lines, unit=unit))

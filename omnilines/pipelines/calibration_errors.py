@@ -128,7 +128,8 @@ def charts_of(lines: Lines, rows: Int[np.ndarray, " k"]) -> LineChart:
 def known_calibration(poses: ImagePoses, cameras: Calibration, options: SceneOptions) -> tuple[KnownCalibration, Pose]:
     """The calibration with its errors, and the poses that lines are adjusted with."""
     names, rigid = list(cameras), cameras.rig and "rig" not in options.refine
-    mounted, frames = rig_of_photos(poses, names, cameras.rig, False, options.adjustment.most_turned_deg)
+    held = not {"poses", "rig"} & set(options.refine)
+    mounted, frames = rig_of_photos(poses, names, cameras.rig, False, options.adjustment.most_turned_deg, held=held)
     camera = torch.tensor([names.index(name) for name in poses.cameras or (names[0],) * len(poses)])
     mounts = tuple(cameras.rig[name] for name in names) if rigid else ()
     estimates = tuple(cameras.estimates.get(name) for name in names)

@@ -52,6 +52,7 @@ from omnilines.pipelines.photo_arcs import PhotoArcs, require_cameras_of
 from omnilines.pipelines.pose_errors import errors_by_poses
 from omnilines.pipelines.pose_tables import given_poses
 from omnilines.pipelines.poses import estimate_poses
+from omnilines.pipelines.rig_of_poses import rig_by_poses
 from omnilines.pipelines.same_place import without_same_place
 from omnilines.pipelines.scene import FromPhotos, Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
@@ -137,6 +138,8 @@ def reconstruct(
     stated = poses if isinstance(poses, ImagePoses) else poses.poses
     cameras = cameras if isinstance(poses, ImagePoses) else with_rig(cameras, poses.rig)
     arcs, posed, given = _with_poses(arcs, poses, cameras, options, distance, work, progress, pose_sigma)
+    cameras, of_rig = rig_by_poses(posed.poses, cameras, options)
+    posed = replace(posed, notes=(*posed.notes, *of_rig))
     if options.min_views == SceneOptions.min_views:
         # Nobody who brings three photos asks for lines of four.
         options = replace(options, min_views=max(3, min(options.min_views, len(arcs.used))))

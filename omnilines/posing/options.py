@@ -178,6 +178,9 @@ class GivenOptions(NamedTuple):
     """A matched point counts by its parallax up to this where the first two photos are chosen."""
     rig_contradicts_rad: float = math.radians(5.0)
     """Photos of one frame whose poses differ from what the rig says by more are not of that rig, or of other instants."""
+    rig_sigmas: float = 5.0
+    """Standard deviations, by the spread of the instants, by which poses have to put a camera of a rig elsewhere than the
+    calibration to contradict it."""
     max_gap_s: float = 0.25
     """Between two rows of a trajectory, up to which poses between them are interpolated: who walks turns about then."""
     same_time_s: float = 1e-3

@@ -1,21 +1,16 @@
 """Whether photos put the cameras of a rig where its calibration has them, and where else, by points that several of them see."""
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
 
 from camera_models.pose import Pose
 from camera_models.wording import listed, rounded
 from omnilines.posing.growth import Grown
 from omnilines.posing.options import GrowthOptions
 from omnilines.posing.point_adjustment import Frames, PosesAndPoints, adjust_points
-
-LEAST_INSTANTS = 3
-"""From which a camera's place in the rig is told, and how well."""
+from omnilines.posing.rig_offsets import RigOffsets, photos_beside, rig_offsets, second_from_first
 
 
 @dataclass(frozen=True)
@@ -27,10 +22,7 @@ class _Alone:
     """As that of `Grown`."""
     cam_from_world: Pose
     """Of every photo, in metres as far as the rig tells them."""
-    pairs: Mapping[str, Sequence[tuple[int, int]]]
-    """Of each camera but that of most photos: its photos (second) with those of that camera at the same instants (first)."""
-    first: str
-    """The camera of most photos."""
+    rig: RigOffsets
 
 
 @dataclass(frozen=True)
@@ -57,7 +49,7 @@ def rig_doubts(grown: Grown, cameras: Sequence[str], options: GrowthOptions = Gr
         "(lengths are then open); where the photos of one instant were taken one after another, the rig did not stand still "
         "between them."
     )
-    told = _places(alone, grown.frames.cam_from_rig)
+    told = alone.rig.places()
     return (" ".join((scatter, *((f"They put {listed(told)} from there.",) if told else ()), remedy)),)
 
 
@@ -77,7 +69,7 @@ def with_rig_of_points(
     first = alone = _alone(grown, cameras)
     given, found = grown.frames.cam_from_rig, grown
     for _ in range(options.rig_rounds):
-        if not _doubted(found, alone, options) or not _tell_all(alone):
+        if not _doubted(found, alone, options) or not alone.rig.tell_all:
             break
         found = matched_again(_moved(found, alone, cameras))
         alone = _alone(found, cameras)
@@ -87,7 +79,8 @@ def with_rig_of_points(
     alone = _alone(found, cameras)
     if not found.scale / alone.scale < grown.scale / first.scale:
         return None
-    told = listed(_places(alone, given))
+    their = rig_offsets(alone.cam_from_world, given, cameras, *_beside(found, cameras))
+    told = listed(their.places())
     return BetterRig(
         found,
         f"The rig is as photos tell, which did not agree with that of the calibration: they put {told} from there, and points "
@@ -115,79 +108,38 @@ def _alone(grown: Grown, cameras: Sequence[str]) -> _Alone:
     photos = len(cameras)
     each = Frames(torch.arange(photos), Pose.identity(photos))
     free = adjust_points(grown.seen, each, PosesAndPoints(grown.cam_from_world, grown.points))
-    seen = torch.bincount(grown.seen.photo, minlength=photos) > 0
-    at = {(cameras[k], int(grown.frames.of_photo[k])): k for k in range(photos) if seen[k]}
-    count = {name: sum(camera == name for camera, _ in at) for name in dict.fromkeys(cameras)}
-    first = max(count, key=lambda name: count[name])
-    pairs = {
-        name: [(at[first, frame], own) for (camera, frame), own in at.items() if camera == name and (first, frame) in at]
-        for name in count
-        if name != first
-    }
-    poses = free.state.rig_from_world
-    scale = _scale(grown.frames.cam_from_rig, poses, [pair for own in pairs.values() for pair in own])
-    return _Alone(free.converged, free.scale, Pose(poses.rotation, scale * poses.translation), pairs, first)
+    first, pairs = _beside(grown, cameras)
+    poses, given = free.state.rig_from_world, grown.frames.cam_from_rig
+    scale = _scale(given, poses, [pair for own in pairs.values() for pair in own])
+    poses = Pose(poses.rotation, scale * poses.translation)
+    return _Alone(free.converged, free.scale, poses, rig_offsets(poses, given, cameras, first, pairs))
+
+
+def _beside(grown: Grown, cameras: Sequence[str]) -> tuple[str, dict[str, list[tuple[int, int]]]]:
+    """Of the photos that see points."""
+    seen = torch.bincount(grown.seen.photo, minlength=len(cameras)) > 0
+    return photos_beside(cameras, grown.frames.of_photo.tolist(), seen.tolist())
 
 
 def _doubted(grown: Grown, alone: _Alone, options: GrowthOptions) -> bool:
     return grown.scale > options.rig_doubt * alone.scale
 
 
-def _tell_all(alone: _Alone) -> bool:
-    return bool(alone.pairs) and min(map(len, alone.pairs.values())) >= LEAST_INSTANTS
-
-
-def _off(alone: _Alone, given: Pose, name: str) -> Float[Tensor, "n 6"]:
-    """How far every instant puts a camera from its place beside the first in a rig (cam_from_rig of every photo)."""
-    own = alone.pairs[name]
-    return (_beside(alone.cam_from_world, own) @ _beside(given, own).inverse()).log()
-
-
 def _moved(grown: Grown, alone: _Alone, cameras: Sequence[str]) -> Grown:
     """With the cameras of the rig where they are in the median of the instants, and the instants where their photos are."""
-    given, frame = grown.frames.cam_from_rig, grown.frames.of_photo
-    first_from_rig = given[cameras.index(alone.first)]
-    cam_from_rig = {alone.first: first_from_rig}
-    for name, own in alone.pairs.items():
-        cam_from_first = Pose.exp(_off(alone, given, name).median(0).values) @ _beside(given, own[:1])[0]
-        cam_from_rig[name] = cam_from_first @ first_from_rig
+    cam_from_rig, frame = alone.rig.told, grown.frames.of_photo
     poses = [grown.rig_from_world[k] for k in range(len(grown.known))]
     # The first camera's last: an instant is where its photo is.
-    for photo in sorted(torch.unique(grown.seen.photo).tolist(), key=lambda photo: cameras[photo] == alone.first):
+    for photo in sorted(torch.unique(grown.seen.photo).tolist(), key=lambda photo: cameras[photo] == alone.rig.first):
         poses[int(frame[photo])] = cam_from_rig[cameras[photo]].inverse() @ alone.cam_from_world[photo]
     frames = Frames(frame, Pose.stack([cam_from_rig[name] for name in cameras]))
     return replace(grown, frames=frames, rig_from_world=Pose.stack(poses))
-
-
-def _places(alone: _Alone, given: Pose) -> list[str]:
-    """How far photos put each camera from its place beside that which most photos are of, in the median of the instants, and how
-    uncertain that is by their spread."""
-    told = []
-    for name, own in alone.pairs.items():
-        if len(own) < LEAST_INSTANTS:
-            continue
-        off = _off(alone, given, name)
-        turn, shift = (_with_sigma(part) for part in (off[:, :3].rad2deg(), 1e3 * off[:, 3:]))
-        told.append(f"{name} {turn} degrees and {shift} mm")
-    return told
-
-
-def _beside(poses: Pose, pairs: Sequence[tuple[int, int]]) -> Pose:
-    """The second camera of each pair from the frame of the first: second_from_first."""
-    first, second = (list(rows) for rows in zip(*pairs, strict=True))
-    return poses[second] @ poses[first].inverse()
 
 
 def _scale(given: Pose, found: Pose, pairs: Sequence[tuple[int, int]]) -> float:
     """Metres of the unit of poses that move by themselves: the median of what the distances of cameras tell; 1 without any."""
     if not pairs:
         return 1.0
-    stated, seen = (_beside(poses, pairs).translation.norm(dim=-1) for poses in (given, found))
+    stated, seen = (second_from_first(poses, pairs).translation.norm(dim=-1) for poses in (given, found))
     apart = (stated > 0) & (seen > 0)
     return float((stated[apart] / seen[apart]).median()) if bool(apart.any()) else 1.0
-
-
-def _with_sigma(off: Float[Tensor, "n 3"]) -> str:
-    """Length of the median of some vectors, and its standard deviation."""
-    sigma = float(off.std(0).norm()) / math.sqrt(len(off))
-    return f"{rounded(float(off.median(0).values.norm()))} (± {rounded(sigma, 1)})"
