@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from camera_models import CameraModel, GeometryError
 from omnilines.adjustment.prior import KnownPoses
@@ -161,6 +163,21 @@ def shown_at(shows: sparse.csr_array, instants: Sequence[str]) -> tuple[sparse.c
     photos = np.arange(len(of_photo))
     joined = sparse.csr_array((np.ones(len(photos), dtype=np.int64), (of_photo, photos)), shape=(len(names), len(photos)))
     return (joined @ shows > 0).astype(np.int64), tuple(str(name) for name in names)
+
+
+def nearest_apart(shared: sparse.csr_array, centres: Float[np.ndarray, "photos 3"]) -> tuple[int, int] | None:
+    """Of photos that no lines join, not by others either, the two nearest to each other; None where lines join all photos."""
+    parts, part = connected_components(shared, directed=False)
+    if parts == 1:
+        return None
+    nearest = []
+    for own in range(parts):
+        mine, others = np.flatnonzero(part == own), np.flatnonzero(part != own)
+        away, which = (np.atleast_1d(found) for found in KDTree(centres[others]).query(centres[mine]))
+        k = int(away.argmin())
+        nearest.append((float(away[k]), int(mine[k]), int(others[which[k]])))
+    _, a, b = min(nearest)
+    return a, b
 
 
 def weakest_link(shared: sparse.csr_array) -> tuple[int, int, int]:
