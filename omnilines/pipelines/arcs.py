@@ -21,6 +21,8 @@ from omnilines.files.orientation import by_camera
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
 from omnilines.options import require_ranges
+from omnilines.photo_file import start_of_photo
+from omnilines.photo_size import jpeg_quality
 from omnilines.pipelines.kept_results import inputs_of, keep_arrays, kept_arrays, kept_folder, look_at_rest
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, silent
@@ -101,7 +103,8 @@ def extract(
     )
     every = tuple(found)
     require_any(every, "photos and calibration")
-    notes = (*masks_note(refs), *_little_looked_at([one for one in every if one.reason is None]))
+    used = [one for one in every if one.reason is None]
+    notes = (*masks_note(refs), *_little_looked_at(used), *_coarse(used, options.coarse_jpeg_quality))
     return PhotoArcs(every, cameras, notes, {"photos": photo_folder(refs), "extraction": options})
 
 
@@ -114,6 +117,20 @@ def _little_looked_at(found: Sequence[FoundArcs]) -> tuple[str, ...]:
     return (
         f"Masks hide more than half of {len(hidden)} of {len(found)} photos: of {least.photo.name} they leave "
         f"{100 * least.looked_at:.0f} percent to look at, where they are white. Invert them if that is what to leave out.",
+    )
+
+
+def _coarse(found: Sequence[FoundArcs], quality: int) -> tuple[str, ...]:
+    """That photos are JPEG of a lower quality than this."""
+    files = {one.photo.name: one.photo.path for one in found if isinstance(one.photo, PhotoRef)}
+    known = {name: jpeg_quality(start_of_photo(path)) for name, path in files.items()}
+    coarse = {name: own for name, own in known.items() if own is not None and own < quality}
+    if not coarse:
+        return ()
+    least = min(coarse, key=lambda name: coarse[name])
+    return (
+        f"{len(coarse)} of {len(found)} photos are JPEG of low quality ({least}: {coarse[least]} of 100): fewer edges are found, "
+        "and less precisely. Give the originals, of a quality of 90 or more.",
     )
 
 
