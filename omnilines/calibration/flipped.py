@@ -21,25 +21,25 @@ FLIPS = (
 
 
 def flipped_views(
-    points: BoardPoints, state: CameraAndBoards, limit_px: float, fits_better: float, significance: float
+    points: BoardPoints, state: CameraAndBoards, least_px: float, fits_better: float, significance: float
 ) -> dict[int, str]:
     """The views that fit a camera more than `fits_better` times as well (root mean square) flipped, beyond chance, and how they
-    look; `points` have no gross error. Flipped, corners have to be within `limit_px` (root mean square).
+    look; `points` have no gross error, and residuals below `least_px` say nothing. Flipped, they have to fit about as well as
+    half of the views do as they are: a lens that the model does not follow favours a flip at times, which fits badly too.
 
-    What else moves the corners of a view, such as a bent board, does so flipped or not. A lens that the model does not follow
-    favours a flip at times, by a factor of 2.5 at most in 60 sets of rendered photos.
+    What else moves the corners of a view, such as a bent board, does so flipped or not.
     """
     freedom = (2 * points.counts - 6).clamp_min(1)
     variance = points.sum_by_view(state.residual_px(points).square().sum(-1)) / freedom
     # None fits better flipped than the best view as it is.
-    views = torch.nonzero(variance > fits_better**2 * variance.min()).flatten().tolist()
+    views = torch.nonzero(variance > fits_better**2 * variance.min().clamp_min(least_px**2)).flatten().tolist()
     if not views:
         return {}
     some, freedom = points.of_views(views), freedom[views]
     as_it_is, *flipped = (_squares_px2(some, state, signs) for signs in ((1.0, 1.0), *(signs for _, signs in FLIPS)))
     least, which = torch.stack(flipped).min(0)
     better = torch.from_numpy(f.sf(as_it_is / least / fits_better**2, freedom, freedom)) < significance
-    told = better & (least <= freedom * limit_px**2)
+    told = better & (least <= freedom * fits_better**2 * variance.median())
     return {views[k]: FLIPS[int(which[k])][0] for k in torch.nonzero(told).flatten().tolist()}
 
 

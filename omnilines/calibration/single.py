@@ -137,8 +137,9 @@ def calibrate_from_fit(
 def _flipped(usable: UsableCorners, fit: RobustFit, thresholds: CalibrationThresholds) -> dict[int, str]:
     """Views that are of flipped photos, and what is to be said of them."""
     smooth, _ = smooth_corners(usable.points, thresholds.screening)
-    better, significance = thresholds.doubt.fits_better, thresholds.degeneracy.misfit_significance
-    found = flipped_views(usable.points.chosen(smooth), fit.state, fit.limit_px, better, significance)
+    least_px, better = thresholds.noise.corner_floor_px, thresholds.doubt.fits_better
+    significance = thresholds.degeneracy.misfit_significance
+    found = flipped_views(usable.points.chosen(smooth), fit.state, least_px, better, significance)
     return {usable.views[k]: f"beside the others it looks {how}; flip or turn it back" for k, how in found.items()}
 
 
