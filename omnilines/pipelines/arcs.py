@@ -14,6 +14,7 @@ from camera_models.formats.camera_check import check_cameras
 from camera_models.typed import typed
 from camera_models.wording import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
+from omnilines.extraction.compressed import coarse_jpegs_note
 from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, PhotoRef, Photos, of_one_range, photo_folder, photos_of
 from omnilines.files.masks import Mask, check_masks, looked_at, masks_note, with_masks
@@ -104,7 +105,7 @@ def extract(
     every = tuple(found)
     require_any(every, "photos and calibration")
     used = [one for one in every if one.reason is None]
-    notes = (*masks_note(refs), *_little_looked_at(used), *_coarse(used, options.coarse_jpeg_quality))
+    notes = (*masks_note(refs), *_little_looked_at(used), *coarse_jpegs_note(_qualities(used), options))
     return PhotoArcs(every, cameras, notes, {"photos": photo_folder(refs), "extraction": options})
 
 
@@ -120,18 +121,10 @@ def _little_looked_at(found: Sequence[FoundArcs]) -> tuple[str, ...]:
     )
 
 
-def _coarse(found: Sequence[FoundArcs], quality: int) -> tuple[str, ...]:
-    """That photos are JPEG of a lower quality than this."""
-    files = {one.photo.name: one.photo.path for one in found if isinstance(one.photo, PhotoRef)}
-    known = {name: jpeg_quality(start_of_photo(path)) for name, path in files.items()}
-    coarse = {name: own for name, own in known.items() if own is not None and own < quality}
-    if not coarse:
-        return ()
-    least = min(coarse, key=lambda name: coarse[name])
-    return (
-        f"{len(coarse)} of {len(found)} photos are JPEG of low quality ({least}: {coarse[least]} of 100): fewer edges are found, "
-        "and less precisely. Give the originals, of a quality of 90 or more.",
-    )
+def _qualities(found: Sequence[FoundArcs]) -> dict[str, int | None]:
+    """Of each photo, where it is a JPEG."""
+    photos = [one.photo for one in found]
+    return {photo.name: jpeg_quality(start_of_photo(photo.path)) if isinstance(photo, PhotoRef) else None for photo in photos}
 
 
 def calibration_of(camera: CameraModel | Calibration) -> Calibration:
