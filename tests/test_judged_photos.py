@@ -112,6 +112,16 @@ def test_photos_that_belong_to_poses_and_calibration_are_not_doubted(seed: int) 
     judge(found, replace(poses, cam_from_world=exchanged))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("step", "has"), [(1, 0), (-1, 2)])
+def test_poses_slipped_by_a_row_are_named(step: int, has: int) -> None:
+    """Nothing named what was wrong with lines that agree by chance."""
+    found, poses = photos()
+    slipped = poses.cam_from_world[np.roll(np.arange(8), step)]
+    with pytest.raises(InputError, match=f"slipped by one row: 1.png has that of {has}.png, .* Write each beside its own photo"):
+        judge(found, replace(poses, cam_from_world=slipped))
+
+
 COURTYARD = tuple(f"{k:04d}.jpg" for k in range(10))
 SIZE = (768, 512)
 

@@ -93,6 +93,16 @@ def test_arcs_and_chains_lie_where_each_mask_is_true(photos: Path, tmp_path: Pat
     assert across[0].max() < 160 < across[1].min() and across[2].min() < 100 and across[2].max() > 220
 
 
+def test_masks_that_hide_most_of_photos_are_named(photos: Path, tmp_path: Path) -> None:
+    """Also of arcs kept by a run before; half of a photo is no matter."""
+    mask = np.zeros(SIZE[::-1], dtype=bool)
+    mask[:, 20:132] = True
+    for _ in range(2):
+        notes = ol.extract(photos, CAMERA, mask={"a.png": mask, "b.png": side(True)}, work=tmp_path / "work").notes
+        assert len(notes) == 2 and "hide more than half of 1 of 3 photos: of a.png they leave 35 percent" in notes[1]
+    assert not ol.extract(photos, CAMERA, mask=side(True)).notes
+
+
 def with_alpha(opaque: np.ndarray) -> np.ndarray:
     return np.dstack([*[halves()] * 3, opaque.astype(np.uint8) * 255])
 

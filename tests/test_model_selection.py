@@ -227,7 +227,7 @@ def test_a_model_that_cannot_hold_the_camera_is_named_and_the_rest_goes_on():
 def test_too_few_views_to_choose():
     lens = OpenCVFisheye([320.0, 320.0, 645.0, 470.0, 0.0, 0.0, 0.0, 0.0], SIZE)
     corners = board_corners(lens, board_views(lens, 80, 4, 1), 0.2, 1)
-    with pytest.raises(InputError, match=r"At least 5 usable views .* found 4"):
+    with pytest.raises(InputError, match=r"At least 5 usable views .* found 4; .* opencv-fisheye for a fisheye"):
         select_model(corners, SIZE, candidates=FEW)
 
 

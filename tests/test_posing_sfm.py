@@ -236,6 +236,21 @@ def test_photos_from_one_place_are_told_from_those_with_nothing_in_common(monkey
         run_on(seen(np.zeros((6, 3))), monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
 
 
+@pytest.mark.slow
+def test_photos_from_one_place_that_colmap_joins_are_told_too(monkeypatch, tmp_path):
+    """Poses some millimetres apart, as it has them of real photos, leave no points: "give photos that overlap more" was said."""
+    camera, _ = scene_camera("pinhole", (800, 600), 0, None)
+    names, turns = [f"{k}.png" for k in range(4)], places(4, 2, 1.0).rotation
+    still, apart = (
+        Pose(turns, -(turns @ torch.as_tensor(centres)[..., None])[..., 0])
+        for centres in (np.zeros((4, 3)), 0.003 * np.random.default_rng(3).normal(size=(4, 3)))
+    )
+    features = [described(camera, still[k], *world(2000, 1), np.random.default_rng([k, 5])) for k in range(4)]
+    monkeypatch.setattr(sfm, "map_photos", lambda *_: [{k: apart[k] for k in range(4)}])
+    with pytest.raises(GeometryError, match="found 4 of 4 at one place"):
+        run_on(features, monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
+
+
 def with_body(model: CameraModel, features: list[Features], count: int, noise_px: float = NOISE_PX) -> list[Features]:
     """The same photos, which also see a vehicle below the camera that goes along with it."""
     rng, size = np.random.default_rng(9), np.array(model.image_size)

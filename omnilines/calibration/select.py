@@ -144,7 +144,8 @@ def select_model(
     if len(common.views) < thresholds.held_out.least_views:
         raise InputError(
             f"At least {thresholds.held_out.least_views} usable views were expected to choose a camera model by held-out views, "
-            f"found {len(common.views)}; add photos or name a `model`."
+            f"found {len(common.views)}; add photos or name a `model`: pinhole for an ordinary lens, opencv-fisheye for a "
+            "fisheye, scaramuzza for a mirror."
         )
     judged = partial(_trial, judge=judge, usable=usable, common=common, thresholds=thresholds, callback=callback)
     trials = each(judged, list(zip(candidates, fits, strict=True)), labels)

@@ -14,6 +14,7 @@ from camera_models import CameraModel
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.diagnose import angles_off_axis, refuse_parallel_boards
 from omnilines.calibration.finish import LastFit, camera_result
+from omnilines.calibration.flipped import flipped_views
 from omnilines.calibration.initialise import BoardPoints
 from omnilines.calibration.redundancy import IN_PIXELS, basis_without, redundant_parameter
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
@@ -91,6 +92,8 @@ def calibrate_from_fit(
     fitting = rows.copy()
     fitting[rows] = kept.numpy()
     refusals |= views_lost(corners, rows, fitting, thresholds.views.least_corners)
+    if loss != "none":
+        refusals |= _flipped(usable, fit, thresholds)
     good = [k for k, v in enumerate(usable.views) if v not in refusals]
     require_views(len(good), len(corners.view_names), refusals, thresholds.views.least_views)
     views = [usable.views[k] for k in good]
@@ -129,6 +132,15 @@ def calibrate_from_fit(
         solution, held_terms = without_unsupported_terms(problem, solution, thresholds.held_out)
         notes += held_terms
     return camera_result(final, solution, basis, (problem, minima), notes, every)
+
+
+def _flipped(usable: UsableCorners, fit: RobustFit, thresholds: CalibrationThresholds) -> dict[int, str]:
+    """Views that are of flipped photos, and what is to be said of them."""
+    smooth, _ = smooth_corners(usable.points, thresholds.screening)
+    least_px, better = thresholds.noise.corner_floor_px, thresholds.doubt.fits_better
+    significance = thresholds.degeneracy.misfit_significance
+    found = flipped_views(usable.points.chosen(smooth), fit.state, least_px, better, significance)
+    return {usable.views[k]: f"beside the others it looks {how}; flip or turn it back" for k, how in found.items()}
 
 
 def robust_camera(

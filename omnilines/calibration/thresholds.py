@@ -157,7 +157,7 @@ class DoubtThresholds(NamedTuple):
     oblong: float = 0.05
     """The least change of a board's aspect that is looked for: printers are off by a hundredth at most."""
     fits_better: float = 3.0
-    """Times as well (root mean square) that another aspect has to fit."""
+    """Times as well (root mean square) that another aspect of the board, or a flip of a photo, has to fit."""
     rough_share: float = 0.002
     """Residuals (root mean square, per axis) above this share of the longer side of the image are spoken of."""
     rough_sigmas: float = 3.0

@@ -234,6 +234,9 @@ class ExtractionOptions(Options):
     """Share of an arc beside which there are edge points."""
     along_sigma_px: float = 1.0
     """Standard deviation of an end point along its arc."""
+    coarse_jpeg_quality: int = 80
+    """Quality of a JPEG, 1 to 100 as libjpeg has it, below which photos are named: of rendered rooms their arcs are known half as
+    well, and a fifth to a quarter of their length is lost."""
     edges: EdgeOptions = EdgeOptions()
     chains: ChainOptions = ChainOptions()
     support: SupportOptions = SupportOptions()

@@ -16,7 +16,7 @@ from omnilines.matching.placing import lines_of_others, lines_of_tracks
 from omnilines.matching.resection import PlacedByLines, explained_by_lines, refined_by_lines
 from omnilines.matching.tracks import FIRST_VIEWS
 from omnilines.pipelines.frame import SFM
-from omnilines.pipelines.kept_lines import KeptLines, shared_lines, shown_at, shown_lines, weakest_link
+from omnilines.pipelines.kept_lines import KeptLines, least_joined
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
 from omnilines.posing.still_rig import StillRig, rig_that_stood_still
 from omnilines.progress import ProgressCallback
@@ -274,15 +274,11 @@ def more_views(poses: ImagePoses, otherwise: str) -> str:
 
 
 def _least_joined(scene: KeptLines) -> str:
-    """The two photos, or instants of a rig, that all others hang together by, and how many lines they share."""
-    segments, poses = scene.segments, scene.scene.poses
-    several = len(set(poses.instants)) > 1
-    instant = dict(zip(poses.images, poses.instants if several else poses.images, strict=True))
-    shows = shown_lines(segments.image, segments.track, len(segments.images), len(scene.scene.lines))
-    shows, names = shown_at(shows, [instant[image] for image in segments.images])
-    a, b, shared = weakest_link(shared_lines(shows))
-    which = "the instants " if several and poses.frames is not None else ""
-    return f"{which}{names[a]} and {names[b]}, which share {shared} lines"
+    """The two photos, or instants of a rig, that all others hang together by, or the nearest that no lines join."""
+    poses = scene.scene.poses
+    a, b, shared = least_joined(scene)
+    which = "the instants " if poses.frames is not None and len(set(poses.instants)) > 1 else ""
+    return f"{which}{a} and {b}, {f'which share {shared} lines' if shared else 'the nearest two that no lines join'}"
 
 
 def _by_chance(scene: KeptLines, options: AdviceOptions) -> tuple[Advice, ...]:

@@ -14,6 +14,7 @@ from camera_models.formats.camera_check import check_cameras
 from camera_models.typed import typed
 from camera_models.wording import listed
 from omnilines.extraction import ExtractionOptions, extract_arcs
+from omnilines.extraction.compressed import coarse_jpegs_note
 from omnilines.extraction.extract import EVERYWHERE
 from omnilines.files import Photo, PhotoRef, Photos, of_one_range, photo_folder, photos_of
 from omnilines.files.masks import Mask, check_masks, looked_at, masks_note, with_masks
@@ -21,6 +22,8 @@ from omnilines.files.orientation import by_camera
 from omnilines.matching.appearance import side_colours
 from omnilines.matching.options import AppearanceOptions
 from omnilines.options import require_ranges
+from omnilines.photo_file import start_of_photo
+from omnilines.photo_size import jpeg_quality
 from omnilines.pipelines.kept_results import inputs_of, keep_arrays, kept_arrays, kept_folder, look_at_rest
 from omnilines.pipelines.photo_arcs import FoundArcs, PhotoArcs
 from omnilines.progress import ProgressCallback, silent
@@ -40,7 +43,7 @@ MADE_BY = (
 """Whose source decides what the arcs of a photo are."""
 BYTES_PER_PIXEL = 80
 """Of a photo being looked through, measured on one full of edges."""
-_ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours")
+_ARRAYS = ("endpoints_px", "covariance_px2", "length_px", "colours", "looked_at")
 
 
 @typed
@@ -101,7 +104,27 @@ def extract(
     )
     every = tuple(found)
     require_any(every, "photos and calibration")
-    return PhotoArcs(every, cameras, masks_note(refs), {"photos": photo_folder(refs), "extraction": options})
+    used = [one for one in every if one.reason is None]
+    notes = (*masks_note(refs), *_little_looked_at(used), *coarse_jpegs_note(_qualities(used), options))
+    return PhotoArcs(every, cameras, notes, {"photos": photo_folder(refs), "extraction": options})
+
+
+def _little_looked_at(found: Sequence[FoundArcs]) -> tuple[str, ...]:
+    """That masks hide more of photos than they leave, as one does that is black where to look."""
+    hidden = [one for one in found if one.looked_at < 0.5]
+    if not hidden:
+        return ()
+    least = min(hidden, key=lambda one: one.looked_at)
+    return (
+        f"Masks hide more than half of {len(hidden)} of {len(found)} photos: of {least.photo.name} they leave "
+        f"{100 * least.looked_at:.0f} percent to look at, where they are white. Invert them if that is what to leave out.",
+    )
+
+
+def _qualities(found: Sequence[FoundArcs]) -> dict[str, int | None]:
+    """Of each photo, where it is a JPEG."""
+    photos = [one.photo for one in found]
+    return {photo.name: jpeg_quality(start_of_photo(photo.path)) if isinstance(photo, PhotoRef) else None for photo in photos}
 
 
 def calibration_of(camera: CameraModel | Calibration) -> Calibration:
@@ -193,16 +216,15 @@ class _Look:
         model = self.cameras[item.camera]
         try:
             image = item.photo.read()
-            found = extract_arcs(
-                image, model, looked_at(item.photo, image.shape[1::-1]), self.known_rad[item.camera], self.options
-            )
+            keep = looked_at(item.photo, image.shape[1::-1])
+            found = extract_arcs(image, model, keep, self.known_rad[item.camera], self.options)
             bearings, seen = model.unproject(found.endpoints_px)
             usable = seen.all(-1)
             colours = side_colours(image, model, bearings[usable], self.appearance)
         except InputError as error:
             return skipped(item.photo, item.camera, str(error))
         arrays = (found.endpoints_px[usable], found.covariance_px2[usable], found.length_px[usable], colours)
-        return FoundArcs(item.photo, item.camera, *arrays)
+        return FoundArcs(item.photo, item.camera, *arrays, looked_at=1.0 if keep is None else float(keep.mean()))
 
 
 def known_angles_rad(estimate: CameraEstimate | None) -> tuple[float, float]:
@@ -226,13 +248,13 @@ class _Kept:
         arrays = kept_arrays(self.folder, inputs)
         if arrays is None:
             return inputs, None
-        pixels, covariance, length, colours = (arrays[name] for name in _ARRAYS)
-        return inputs, FoundArcs(item.photo, item.camera, pixels, covariance, length, colours)
+        pixels, covariance, length, colours, share = (arrays[name] for name in _ARRAYS)
+        return inputs, FoundArcs(item.photo, item.camera, pixels, covariance, length, colours, looked_at=float(share))
 
     def write(self, inputs: str | None, arcs: FoundArcs) -> None:
         """Keep those of a photo that was looked at."""
         if inputs is not None and arcs.reason is None:
-            keep_arrays(self.folder, inputs, {name: getattr(arcs, name) for name in _ARRAYS})
+            keep_arrays(self.folder, inputs, {name: np.asarray(getattr(arcs, name)) for name in _ARRAYS})
 
     def _inputs(self, item: _Item) -> str | None:
         """A fingerprint of all that the arcs of a photo depend on; None where none are kept."""

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from camera_models import Calibration, GeometryError, InputError
 from camera_models.pose import Pose
 from camera_models.wording import rounded
@@ -21,11 +23,13 @@ from omnilines.pipelines.photo_readings import (
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.readings import Reading, other_readings, rarer_readings
 from omnilines.progress import ProgressCallback
-from omnilines.records import Advice
+from omnilines.records import Advice, ImagePoses
 
 READ = ("table", "colmap", "tool")
 """Sources of poses whose numbers may be of another convention."""
 EXPECTED = "X_cam = R X_world + t and qw,qx,qy,qz were expected"
+SLIPPED_PHOTOS = 6
+"""Three in each half: poses of two agree with any arcs."""
 AXES_KINDS = 2
 """Ways to write poses that are tried with any axes: as they are, and inverted."""
 
@@ -98,6 +102,25 @@ def _refuse_usual(
     # Other arcs, and another chance, have to say the same.
     if sigmas[best] > least and evidence(some, cam_from_world, options.seed + 1).sigmas > least:
         raise InputError(f"The {looks}: as given the lines of the photos agree by chance only, read so they stand out. {remedy}.")
+    _refuse_slipped(found, posed.poses, cameras, options)
+
+
+def _refuse_slipped(found: Sequence[FoundArcs], given: ImagePoses, cameras: Calibration, options: SceneOptions) -> None:
+    """Raises InputError where the poses of neighbours in the table explain what agrees by chance only as given.
+
+    Of poses in any other order some are those of neighbours by chance: both halves of the photos have to say so.
+    """
+    count = len(given)
+    for step in (1, -1):
+        order = np.roll(np.arange(count), -step)
+        slipped = replace(given, cam_from_world=given.cam_from_world[order], covariance=None)
+        parts = (slipped, slipped.rows(range(count // 2)), slipped.rows(range(count // 2, count)))
+        told = (evidence_of_poses(viewed_arcs(found, part, cameras), options.seed, options.matching) for part in parts)
+        if count >= SLIPPED_PHOTOS and all(one.beyond_chance for one in told):
+            raise InputError(
+                f"The poses look slipped by one row: {given.images[1]} has that of {given.images[1 - step]}, and so on: "
+                "as given the lines of the photos agree by chance only, read so they stand out. Write each beside its own photo."
+            )
 
 
 @dataclass(frozen=True)

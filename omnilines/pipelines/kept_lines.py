@@ -5,8 +5,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from camera_models import CameraModel, GeometryError
 from omnilines.adjustment.prior import KnownPoses
@@ -161,6 +163,35 @@ def shown_at(shows: sparse.csr_array, instants: Sequence[str]) -> tuple[sparse.c
     photos = np.arange(len(of_photo))
     joined = sparse.csr_array((np.ones(len(photos), dtype=np.int64), (of_photo, photos)), shape=(len(names), len(photos)))
     return (joined @ shows > 0).astype(np.int64), tuple(str(name) for name in names)
+
+
+def least_joined(scene: KeptLines) -> tuple[str, str, int]:
+    """The weakest link between photos, or instants of a rig where there are several, and how many lines they share; where no
+    lines join all, the nearest two that none join, and 0."""
+    segments, poses = scene.segments, scene.scene.poses
+    several = len(set(poses.instants)) > 1
+    instant = dict(zip(poses.images, poses.instants if several else poses.images, strict=True))
+    shows = shown_lines(segments.image, segments.track, len(segments.images), len(scene.scene.lines))
+    shows, names = shown_at(shows, [instant[image] for image in segments.images])
+    shared, centre = shared_lines(shows), dict(zip(instant.values(), poses.cam_from_world.centre.numpy(), strict=True))
+    apart = nearest_apart(shared, np.stack([centre[name] for name in names]))
+    a, b, number = weakest_link(shared) if apart is None else (*apart, 0)
+    return names[a], names[b], number
+
+
+def nearest_apart(shared: sparse.csr_array, centres: Float[np.ndarray, "photos 3"]) -> tuple[int, int] | None:
+    """Of photos that no lines join, not by others either, the two nearest to each other; None where lines join all photos."""
+    parts, part = connected_components(shared, directed=False)
+    if parts == 1:
+        return None
+    nearest = []
+    for own in range(parts):
+        mine, others = np.flatnonzero(part == own), np.flatnonzero(part != own)
+        away, which = (np.atleast_1d(found) for found in KDTree(centres[others]).query(centres[mine]))
+        k = int(away.argmin())
+        nearest.append((float(away[k]), int(mine[k]), int(others[which[k]])))
+    _, a, b = min(nearest)
+    return a, b
 
 
 def weakest_link(shared: sparse.csr_array) -> tuple[int, int, int]:

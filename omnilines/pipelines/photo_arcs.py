@@ -37,6 +37,8 @@ class FoundArcs:
     """Logarithms of the colours on both sides (`side_colours`); NaN where not known."""
     reason: str | None = None
     """Why the photo was skipped, one sentence."""
+    looked_at: float = 1.0
+    """The share of its pixels that a mask, or transparency, leaves to look at."""
 
     def __repr__(self) -> str:
         return f"FoundArcs({self.photo.name!r}, arcs={len(self)})"

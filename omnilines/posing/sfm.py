@@ -91,22 +91,29 @@ def sfm_poses(
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
     work = Path(work_folder)
 
-    def placed(parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
+    def located(parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
         again = partial(grow, features=features, matches=matches, seed=seed, progress=progress, options=options)
         words = "finding the rig anew"
         wide = partial(widely_matched, features=features, matches=matches, stage=words, progress=progress, options=options)
-        with one_torch_thread():
-            grown = again(start_from(Frames(torch.tensor(frame), rig), parts[0]))
-            found = _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
-            if not grown.frames.has_scale:
-                return found
-            better = with_rig_of_points(grown, names, wide, again, options.growth) if refine_rig else None
-            if better is None:
-                return replace(found, notes=(*found.notes, *rig_doubts(grown, names, options.growth)))
+        grown = again(start_from(Frames(torch.tensor(frame), rig), parts[0]))
+        found = _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
+        if not grown.frames.has_scale:
+            return found
+        better = with_rig_of_points(grown, names, wide, again, options.growth) if refine_rig else None
+        if better is None:
+            return replace(found, notes=(*found.notes, *rig_doubts(grown, names, options.growth)))
         found = _result(photos, names, frame_names, features, better.grown, parts, options.growth)
         given = {name: mounted.cam_from_rig for name, mounted in calibration.rig.items()}
         own = {name: better.grown.frames.cam_from_rig[k] for k, name in enumerate(names)}
         return replace(found, notes=(*found.notes, better.note), rig={**given, **own})
+
+    def placed(parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
+        try:
+            with one_torch_thread():
+                return located(parts, matches)
+        except GeometryError as none:
+            # COLMAP joins photos of one place too, at times; they have no points then.
+            raise GeometryError(_from_one_place(given, matches, seed, options) or str(none)) from none
 
     parts, matches, told = _joined(given, matches, work, seed, progress, options)
     found = placed(parts, matches)
@@ -138,7 +145,7 @@ def _joined(
     fewer = _number(without.clear) < _number(matches.clear)
     parts = _mapped(given, without.clear, work, seed, progress, options) if fewer else []
     if not parts:
-        raise GeometryError(_not_joined(given.features, matches, without, seed, options))
+        raise GeometryError(_not_joined(given, matches, seed, options))
     return parts, without, (LEFT_OUT,)
 
 
@@ -186,27 +193,32 @@ def _matches(features: Sequence[Features], seed: int, progress: ProgressCallback
     return Matches({pair: clear for pair, (clear, _) in of_pair}, {pair: faint for pair, (_, faint) in of_pair})
 
 
-def _not_joined(features: Sequence[Features], matches: Matches, without: Matches, seed: int, options: PosingOptions) -> str:
-    """Why no photos could be joined, and what to do: nothing has a depth from one place, however much photos overlap. `without`
-    are the matches that are not at one bearing in both."""
-    count = len(features)
+def _not_joined(given: MapperInput, matches: Matches, seed: int, options: PosingOptions) -> str:
+    """Why no photos could be joined, and what to do."""
+    count = len(given.features)
     if count < LEAST_PHOTOS:
         return f"{LEAST_PHOTOS} photos of one scene or more were expected to find their poses, found {count}; give more."
-    here = len(at_one_place(features, matches.clear, seed, options))
-    if 2 * here > count and 2 * _number(without.clear) < _number(matches.clear):
+    return _from_one_place(given, matches, seed, options) or (
+        f"Photos with enough in common to find their poses were expected, found {count} that COLMAP could not join; "
+        "take more photos with smaller steps between them, or give poses."
+    )
+
+
+def _from_one_place(given: MapperInput, matches: Matches, seed: int, options: PosingOptions) -> str:
+    """That most photos are from one place, and what to do: nothing has a depth from there, however much photos overlap. Empty
+    where they are not."""
+    count, here = len(given.features), len(at_one_place(given.features, matches.clear, seed, options))
+    if 2 * here <= count:
+        return ""
+    if 2 * _number(_others(given, matches, options).clear) < _number(matches.clear):
         return (
             f"Photos from different places were expected to find their poses, found that most of what {here} of {count} photos "
             "have in common lies at the same place in each: the camera stood still, or it sees what goes along with it; move the "
             f"camera between photos, and {TO_MASK}"
         )
-    if 2 * here > count:
-        return (
-            f"Photos from different places were expected to find their poses, found {here} of {count} at one place, from where "
-            "nothing has a depth: a turn of the camera alone explains what they have in common; move the camera between photos."
-        )
     return (
-        f"Photos with enough in common to find their poses were expected, found {count} that COLMAP could not join; "
-        "take more photos with smaller steps between them, or give poses."
+        f"Photos from different places were expected to find their poses, found {here} of {count} at one place, from where "
+        "nothing has a depth: a turn of the camera alone explains what they have in common; move the camera between photos."
     )
 
 
