@@ -16,6 +16,7 @@ from camera_models.pose import Pose
 from camera_models.rotations import similarity_alignment
 from omnilines.files import read_photo, write_png
 from omnilines.posing import sfm
+from omnilines.posing.carried_along import agreeing
 from omnilines.posing.feature_matches import matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
 from omnilines.posing.kernels.match import best_near
@@ -273,6 +274,19 @@ def test_matches_near_the_epipolar_circle_are_the_true_ones():
     behind = Pose(relative.rotation, -relative.translation)
     wrong = {tuple(p) for p in matched_near(a, b, behind, 4 * float(a.sigma_rad.median())).tolist()}
     assert len(wrong & {tuple(p) for p in clear.tolist()}) < 0.1 * len(clear)
+
+
+def test_poses_with_which_matches_meet_behind_the_cameras_explain_none_of_them():
+    """A camera that walks ahead has the same epipolar circles one step behind, where photos of a corridor were put."""
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    step = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+    here, ahead, behind = (Pose(torch.eye(3, dtype=torch.float64), k * step) for k in (0, 1, -1))
+    photos = [described(camera, pose, points, words, np.random.default_rng([k, 5])) for k, pose in enumerate((here, ahead))]
+    matches = {(0, 1): matched(*photos)[0]}
+    count = len(matches[0, 1])
+    assert count > 200 and agreeing(photos, matches, {0: here, 1: ahead}) > 0.95 * count
+    assert agreeing(photos, matches, {0: here, 1: behind}) < 0.05 * count
 
 
 def unit(v: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
-from omnilines.posing.bearing_residual import near_epipolar_circle
+from omnilines.posing.bearing_residual import near_epipolar_arc
 from omnilines.posing.features import Features
 from omnilines.posing.growth import PairMatches
 from omnilines.posing.options import PosingOptions
@@ -65,12 +65,12 @@ def carried_share(
 def agreeing(
     features: Sequence[Features], matches: PairMatches, poses: Mapping[int, Pose], options: PosingOptions = PosingOptions()
 ) -> int:
-    """How many of the matches lie near the epipolar circles of the poses, cam_from_world of the photos that have one."""
+    """How many of the matches meet in front of both photos, by the poses: cam_from_world of the photos that have one."""
     count = 0
     for (i, j), rows in matches.items():
         if i in poses and j in poses:
             a, b, within_rad = _rays(features[i], features[j], rows, options)
-            count += int(near_epipolar_circle(a, b, poses[j] @ poses[i].inverse(), within_rad).sum())
+            count += int(near_epipolar_arc(a, b, poses[j] @ poses[i].inverse(), within_rad).sum())
     return count
 
 
