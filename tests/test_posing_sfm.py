@@ -219,6 +219,37 @@ def test_photos_from_one_place_are_told_from_those_with_nothing_in_common(monkey
         run_on(seen(np.zeros((6, 3))), monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
 
 
+def test_poses_from_about_one_place_are_called_doubtful(monkeypatch, tmp_path):
+    """Where structure from motion found some all the same, as in photos of a camera that is turned in the hand."""
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    still, names = places(6, 2), [f"{k}.png" for k in range(6)]
+    for apart_m, doubtful in ((0.02, True), (0.3, False)):
+        centre = torch.as_tensor(apart_m * np.random.default_rng(3).normal(size=(6, 3)))
+        poses = Pose(still.rotation, -(still.rotation @ centre[..., None])[..., 0])
+        photos = [described(camera, poses[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+        monkeypatch.setattr(sfm, "map_photos", lambda *_, poses=poses: [{k: poses[k] for k in range(6)}])
+        notes = run_on(photos, monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c")).notes
+        assert any("turn of the camera alone explains most of what 6 of 6 photos" in note for note in notes) == doubtful
+
+
+def test_what_a_camera_keeps_looking_at_does_not_go_along_with_it(monkeypatch, tmp_path):
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    names, target = [f"{k}.png" for k in range(6)], np.array([0.0, 0.0, 1.5])
+    points[:80] = target + 0.05 * np.random.default_rng(0).normal(size=(80, 3))
+    angle = np.linspace(0.0, 1.0, 6)
+    centres = np.stack([1.5 * np.sin(angle) - 0.7, 0 * angle, 0.6 - 1.5 * np.cos(angle)], -1)
+    ahead = unit(target - centres)
+    right = unit(np.cross([0.0, 1.0, 0.0], ahead))
+    rotation = torch.as_tensor(np.stack([right, np.cross(ahead, right), ahead], 1))
+    truth = Pose(rotation, -(rotation @ torch.as_tensor(centres)[..., None])[..., 0])
+    photos = [described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+    found = run_on(photos, monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
+    assert errors(found.poses, truth, names)[0].max() < 0.03
+    assert not any("lies at the same place" in note for note in found.notes)
+
+
 def with_body(model: CameraModel, features: list[Features], count: int, noise_px: float = NOISE_PX) -> list[Features]:
     """The same photos, which also see a vehicle below the camera that goes along with it."""
     rng, size = np.random.default_rng(9), np.array(model.image_size)

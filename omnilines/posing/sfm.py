@@ -44,6 +44,10 @@ GOES_ALONG = (
     f"{TO_MASK}"
 )
 WITHOUT_IT = ", and poses are found without it"
+ONE_PLACE = (
+    "A turn of the camera alone explains most of what {} of {} photos have in common: from about one place hardly anything has a "
+    "depth, so that poses and lines are doubtful, far more than they state; move the camera between photos."
+)
 LEAST_PHOTOS = 3
 MAX_TABLES = 4
 """Pairs of photos compared at once; each takes 0.1 GB."""
@@ -107,8 +111,19 @@ def sfm_poses(
             its = agreeing(features, without.clear, parts[0], options) if parts else 0
             better = its > agreeing(features, without.clear, poses, options)
             found = placed(parts, without) if better else found
-            told = (GOES_ALONG.format(share, WITHOUT_IT if better else ""),)
+            if not better:  # The poses stand: what they explain of that is the world.
+                share = carried_share(features, matches.clear, given.camera, poses, options, contradicting=True)
+            if share >= options.carried.least_share:
+                told = (GOES_ALONG.format(share, WITHOUT_IT if better else ""),)
+        if not told:
+            told = _from_one_place(at_one_place(features, matches.clear, seed, options), frame)
     return replace(found, notes=(*found.notes, *told))
+
+
+def _from_one_place(here: Sequence[int], frame: Sequence[int]) -> tuple[str, ...]:
+    """What is to be said where photos at one place and every other instant are too few places; `frame` is that of each photo."""
+    places = len(set(frame) - {frame[k] for k in here}) + 1
+    return (ONE_PLACE.format(len(here), len(frame)),) if here and places < LEAST_PHOTOS else ()
 
 
 def _joined(
