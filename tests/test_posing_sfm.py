@@ -15,7 +15,8 @@ from camera_models.formats.calibration_data import RigCamera
 from camera_models.pose import Pose
 from camera_models.rotations import similarity_alignment
 from omnilines.files import read_photo, write_png
-from omnilines.posing import sfm
+from omnilines.posing import joining, sfm
+from omnilines.posing.carried_along import agreeing
 from omnilines.posing.feature_matches import matched, matched_near, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
 from omnilines.posing.one_place import at_one_place
@@ -246,9 +247,40 @@ def test_photos_from_one_place_that_colmap_joins_are_told_too(monkeypatch, tmp_p
         for centres in (np.zeros((4, 3)), 0.003 * np.random.default_rng(3).normal(size=(4, 3)))
     )
     features = [described(camera, still[k], *world(2000, 1), np.random.default_rng([k, 5])) for k in range(4)]
-    monkeypatch.setattr(sfm, "map_photos", lambda *_: [{k: apart[k] for k in range(4)}])
+    monkeypatch.setattr(joining, "map_photos", lambda *_: [{k: apart[k] for k in range(4)}])
     with pytest.raises(GeometryError, match="found 4 of 4 at one place"):
         run_on(features, monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
+
+
+def test_poses_from_about_one_place_are_called_doubtful(monkeypatch, tmp_path):
+    """Where structure from motion found some all the same, as in photos of a camera that is turned in the hand."""
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    still, names = places(6, 2), [f"{k}.png" for k in range(6)]
+    for apart_m, doubtful in ((0.02, True), (0.3, False)):
+        centre = torch.as_tensor(apart_m * np.random.default_rng(3).normal(size=(6, 3)))
+        poses = Pose(still.rotation, -(still.rotation @ centre[..., None])[..., 0])
+        photos = [described(camera, poses[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+        monkeypatch.setattr(joining, "map_photos", lambda *_, poses=poses: [{k: poses[k] for k in range(6)}])
+        notes = run_on(photos, monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c")).notes
+        assert any("turn of the camera alone explains most of what 6 of 6 photos" in note for note in notes) == doubtful
+
+
+def test_what_a_camera_keeps_looking_at_does_not_go_along_with_it(monkeypatch, tmp_path):
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    names, target = [f"{k}.png" for k in range(6)], np.array([0.0, 0.0, 1.5])
+    points[:80] = target + 0.05 * np.random.default_rng(0).normal(size=(80, 3))
+    angle = np.linspace(0.0, 1.0, 6)
+    centres = np.stack([1.5 * np.sin(angle) - 0.7, 0 * angle, 0.6 - 1.5 * np.cos(angle)], -1)
+    ahead = unit(target - centres)
+    right = unit(np.cross([0.0, 1.0, 0.0], ahead))
+    rotation = torch.as_tensor(np.stack([right, np.cross(ahead, right), ahead], 1))
+    truth = Pose(rotation, -(rotation @ torch.as_tensor(centres)[..., None])[..., 0])
+    photos = [described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(6)]
+    found = run_on(photos, monkeypatch, tmp_path, {"c": camera}, names, dict.fromkeys(names, "c"))
+    assert errors(found.poses, truth, names)[0].max() < 0.03
+    assert not any("lies at the same place" in note for note in found.notes)
 
 
 def with_body(model: CameraModel, features: list[Features], count: int, noise_px: float = NOISE_PX) -> list[Features]:
@@ -348,6 +380,19 @@ def test_cameras_at_one_place_are_matched_near_the_direction_of_a_feature():
 def photo_of(rays: np.ndarray, descriptors: np.ndarray) -> Features:
     none = torch.zeros(len(rays), 2, 3, dtype=torch.float64)
     return Features(torch.as_tensor(rays), none, none[:, 0, 0], torch.as_tensor(descriptors))
+
+
+def test_poses_with_which_matches_meet_behind_the_cameras_explain_none_of_them():
+    """A camera that walks ahead has the same epipolar circles one step behind, where photos of a corridor were put."""
+    camera, _ = scene_camera("equirectangular", (800, 400), 0)
+    points, words = world(500, 1)
+    step = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
+    here, ahead, behind = (Pose(torch.eye(3, dtype=torch.float64), k * step) for k in (0, 1, -1))
+    photos = [described(camera, pose, points, words, np.random.default_rng([k, 5])) for k, pose in enumerate((here, ahead))]
+    matches = {(0, 1): matched(*photos)[0]}
+    count = len(matches[0, 1])
+    assert count > 200 and agreeing(photos, matches, {0: here, 1: ahead}) > 0.95 * count
+    assert agreeing(photos, matches, {0: here, 1: behind}) < 0.05 * count
 
 
 def unit(v: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from omnilines.files.photos import require_distinct_stems
 from omnilines.files.sets import claimed
 from omnilines.pages.arcs import arcs_data, arcs_summary, picture_name, write_pictures
 from omnilines.pipelines.arcs import extract as pipeline
-from omnilines.posing.sfm import LEAST_PHOTOS
+from omnilines.posing.joining import LEAST_PHOTOS
 from omnilines.progress import ProgressCallback, silent
 
 TABLE, PICTURES = "segments.csv", "pictures"

@@ -35,10 +35,11 @@ from omnilines.posing.from_rectangles import poses_from_rectangles
 from omnilines.posing.from_rig import poses_from_rig
 from omnilines.posing.from_tool import poses_from_tool
 from omnilines.posing.instant_names import instants
+from omnilines.posing.joining import LEAST_PHOTOS
 from omnilines.posing.options import PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.rectangle import PREFIX, parse_rectangle
-from omnilines.posing.sfm import LEAST_PHOTOS, sfm_poses
+from omnilines.posing.sfm import sfm_poses
 from omnilines.posing.tools import TITLES, pose_file_of
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Advice, ImagePoses

@@ -41,9 +41,15 @@ def placed(pose: Pose, points: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     return (pose.rotation @ points[..., None])[..., 0] + pose.translation
 
 
-def near_epipolar_circle(
+def near_epipolar_arc(
     a: Float[Tensor, "n 3"], b: Float[Tensor, "n 3"], b_from_a: Pose, limit_rad: float | Float[Tensor, " n"]
 ) -> Bool[Tensor, " n"]:
-    """Whether each bearing of camera b is within an angle of the circle on which b sees the ray of a."""
-    normal = torch.linalg.cross(a @ b_from_a.rotation.mT, b_from_a.translation.expand_as(a))
-    return (normal * b).sum(-1).abs() < limit_rad * normal.norm(dim=-1).clamp_min(1e-300)
+    """Whether each bearing of camera b is within an angle of the arc in which b sees the ray of a: from where the ray goes to, at
+    infinity, to camera a itself. On the rest of its circle the two meet behind a camera."""
+    ray = a @ b_from_a.rotation.mT
+    start = (b_from_a.translation / b_from_a.translation.norm().clamp_min(1e-300)).expand_as(a)
+    normal = torch.linalg.cross(ray, start)
+    limit = limit_rad * normal.norm(dim=-1).clamp_min(1e-300)
+    by_ray, by_start, between = (b * ray).sum(-1), (b * start).sum(-1), (ray * start).sum(-1)
+    beyond = torch.minimum(by_start - by_ray * between, by_ray - by_start * between)
+    return ((normal * b).sum(-1).abs() < limit) & (beyond > -limit)

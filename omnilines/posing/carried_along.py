@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models.pose import Pose
-from omnilines.posing.bearing_residual import near_epipolar_circle
+from omnilines.posing.bearing_residual import near_epipolar_arc
 from omnilines.posing.features import Features
 from omnilines.posing.growth import PairMatches
 from omnilines.posing.options import PosingOptions
@@ -45,8 +45,11 @@ def carried_share(
     camera: Sequence[int],
     poses: Mapping[int, Pose],
     options: PosingOptions = PosingOptions(),
+    *,
+    contradicting: bool = False,
 ) -> float:
-    """Share of the matches that are at one bearing although the camera turned by `turned_rad` and more; 0 where it did not.
+    """Share of the matches that are at one bearing although the camera turned by `turned_rad` and more; 0 where it did not. With
+    `contradicting` only those count that the poses do not explain: that do not meet in front of both photos.
 
     `poses` are cam_from_world of the photos that have one.
     """
@@ -58,6 +61,8 @@ def carried_share(
     turned = (first * second).sum((-2, -1)) <= 1.0 + 2.0 * math.cos(options.carried.turned_rad)
     far = {pair: matches[pair] for pair, is_far in zip(pairs, turned.tolist(), strict=True) if is_far}
     along = carried_along(features, far, camera, options)
+    if contradicting:
+        along = {pair: rows & ~_meeting(features, pair, far[pair], poses, options) for pair, rows in along.items()}
     total = sum(map(len, along.values()))
     return sum(int(one.sum()) for one in along.values()) / total if total else 0.0
 
@@ -65,13 +70,21 @@ def carried_share(
 def agreeing(
     features: Sequence[Features], matches: PairMatches, poses: Mapping[int, Pose], options: PosingOptions = PosingOptions()
 ) -> int:
-    """How many of the matches lie near the epipolar circles of the poses, cam_from_world of the photos that have one."""
-    count = 0
-    for (i, j), rows in matches.items():
-        if i in poses and j in poses:
-            a, b, within_rad = _rays(features[i], features[j], rows, options)
-            count += int(near_epipolar_circle(a, b, poses[j] @ poses[i].inverse(), within_rad).sum())
-    return count
+    """How many of the matches meet in front of both photos, by the poses: cam_from_world of the photos that have one."""
+    placed = [pair for pair in matches if pair[0] in poses and pair[1] in poses]
+    return sum(int(_meeting(features, pair, matches[pair], poses, options).sum()) for pair in placed)
+
+
+def _meeting(
+    features: Sequence[Features],
+    pair: tuple[int, int],
+    rows: Int[Tensor, "m 2"],
+    poses: Mapping[int, Pose],
+    options: PosingOptions,
+) -> Bool[Tensor, " m"]:
+    i, j = pair
+    a, b, within_rad = _rays(features[i], features[j], rows, options)
+    return near_epipolar_arc(a, b, poses[j] @ poses[i].inverse(), within_rad)
 
 
 def _rays(

@@ -23,7 +23,7 @@ from torch import Tensor
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.posing._pycolmap import pycolmap
-from omnilines.posing.bearing_residual import near_epipolar_circle
+from omnilines.posing.bearing_residual import near_epipolar_arc
 from omnilines.posing.features import Features
 from omnilines.posing.from_colmap import pose_of
 from omnilines.posing.options import MapperOptions, PosingOptions
@@ -120,11 +120,11 @@ def _mapped(
 
 
 def _explained(part: Mapping[int, Pose], rays: Mapping[tuple[int, int], "_Rays"]) -> dict[tuple[int, int], int]:
-    """Of each pair of photos that are placed, how many verified matches lie near the epipolar circles of the poses."""
+    """Of each pair of photos that are placed, how many verified matches meet in front of both."""
     counts = {}
     for (i, j), pair in rays.items():
         if i in part and j in part:
-            near = near_epipolar_circle(pair.a, pair.b, part[j] @ part[i].inverse(), pair.limit_rad)
+            near = near_epipolar_arc(pair.a, pair.b, part[j] @ part[i].inverse(), pair.limit_rad)
             counts[i, j] = int(near.sum())
     return counts
 
@@ -133,7 +133,7 @@ def _settled(
     photos: int, explained: Mapping[tuple[int, int], int], rays: Mapping[tuple[int, int], "_Rays"], least_share: float
 ) -> bool:
     """Whether each photo is placed and explains so large a share of its matches, in pairs whose rotations agree, that no other
-    way of adding photos would place it elsewhere: at a wrong place only few lie near their circles."""
+    way of adding photos would place it elsewhere: at a wrong place only few meet."""
     own, all_own = np.zeros(photos), np.zeros(photos)
     for pair, one in rays.items():
         if one.agrees:

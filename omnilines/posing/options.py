@@ -191,7 +191,7 @@ class CarriedOptions(NamedTuple):
     """What goes along with the camera: a vehicle or a mount that it sees (`carried_along`)."""
 
     turned_rad: float = math.radians(2.0)
-    """Angle that two photos are turned by from which on a feature of the world cannot be at one bearing in both."""
+    """Angle that two photos are turned by from which on a feature far away cannot be at one bearing in both."""
     least_share: float = 0.05
     """Of the matches of such photos at one bearing, from which on that is said."""
     rig_still: float = 0.2

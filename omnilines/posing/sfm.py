@@ -15,15 +15,15 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from camera_models import Calibration, CameraModel, GeometryError
-from camera_models.formats.disk import own_folder
 from camera_models.pose import Pose, adjoint
 from omnilines.posing._pycolmap import pycolmap
-from omnilines.posing.carried_along import agreeing, carried_share, without_carried
-from omnilines.posing.colmap_mapper import MapperInput, map_photos
+from omnilines.posing.carried_along import agreeing, carried_share
+from omnilines.posing.colmap_mapper import MapperInput
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
 from omnilines.posing.from_rig import cam_from_rig_of
-from omnilines.posing.growth import Grown, Matches, PairMatches, grow, start_from, widely_matched
+from omnilines.posing.growth import Grown, Matches, grow, start_from, widely_matched
+from omnilines.posing.joining import TO_MASK, about_one_place, from_one_place, joined, mapped, others
 from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
@@ -35,17 +35,11 @@ from omnilines.records import ImagePoses
 
 OPEN_SCALE = "The scale is not known: the unit of length is about the cameras' root mean square distance from their middle."
 """The note of poses whose unit nothing tells."""
-TO_MASK = "leave out a vehicle, a mount, a hand or a date that photos always show, with `mask`."
-LEFT_OUT = (
-    "Photos could be joined only without what lies at one place in all of them, which goes along with the camera, or far away: "
-    f"{TO_MASK}"
-)
 GOES_ALONG = (
     "{:.0%} of what photos have in common lies at the same place in them although the camera turned: it goes along with it{}; "
     f"{TO_MASK}"
 )
 WITHOUT_IT = ", and poses are found without it"
-LEAST_PHOTOS = 3
 MAX_TABLES = 4
 """Pairs of photos compared at once; each takes 0.1 GB."""
 
@@ -113,9 +107,9 @@ def sfm_poses(
                 return located(parts, matches)
         except GeometryError as none:
             # COLMAP joins photos of one place too, at times; they have no points then.
-            raise GeometryError(_from_one_place(given, matches, seed, options) or str(none)) from none
+            raise GeometryError(from_one_place(given, matches, seed, options) or str(none)) from none
 
-    parts, matches, told = _joined(given, matches, work, seed, progress, options)
+    parts, matches, told = joined(given, matches, work, seed, progress, options)
     found = placed(parts, matches)
     # A rig that stood still sees the world at one bearing, also at an instant that something moving has taken along.
     if not told and rig_that_stood_still(found.poses, options.carried.rig_still) is None:
@@ -123,44 +117,18 @@ def sfm_poses(
         share = carried_share(features, matches.clear, given.camera, poses, options)
         if share >= options.carried.least_share:
             # Poses with which only that agrees are wrong, though it be most of what photos have in common.
-            without = _others(given, matches, options)
-            parts = _mapped(given, without.clear, work, seed, progress, options)
+            without = others(given, matches, options)
+            parts = mapped(given, without.clear, work, seed, progress, options)
             its = agreeing(features, without.clear, parts[0], options) if parts else 0
             better = its > agreeing(features, without.clear, poses, options)
             found = placed(parts, without) if better else found
-            told = (GOES_ALONG.format(share, WITHOUT_IT if better else ""),)
+            if not better:  # The poses stand: what they explain of that is the world.
+                share = carried_share(features, matches.clear, given.camera, poses, options, contradicting=True)
+            if share >= options.carried.least_share:
+                told = (GOES_ALONG.format(share, WITHOUT_IT if better else ""),)
+        if not told:
+            told = about_one_place(at_one_place(features, matches.clear, seed, options), frame)
     return replace(found, notes=(*found.notes, *told))
-
-
-def _joined(
-    given: MapperInput, matches: Matches, work: Path, seed: int, progress: ProgressCallback, options: PosingOptions
-) -> tuple[list[dict[int, Pose]], Matches, tuple[str, ...]]:
-    """The parts that COLMAP joins, by all matches or, where there is none, by those that do not go along with the camera; these
-    matches, and what is to be said of them. Raises GeometryError where there is none either way."""
-
-    parts = _mapped(given, matches.clear, work, seed, progress, options)
-    if parts:
-        return parts, matches, ()
-    without = _others(given, matches, options)
-    fewer = _number(without.clear) < _number(matches.clear)
-    parts = _mapped(given, without.clear, work, seed, progress, options) if fewer else []
-    if not parts:
-        raise GeometryError(_not_joined(given, matches, seed, options))
-    return parts, without, (LEFT_OUT,)
-
-
-def _mapped(
-    given: MapperInput, clear: PairMatches, work: Path, seed: int, progress: ProgressCallback, options: PosingOptions
-) -> list[dict[int, Pose]]:
-    """The parts that COLMAP joins by these matches."""
-    work.mkdir(parents=True, exist_ok=True)
-    with own_folder(work, "colmap.") as folder:
-        return map_photos(replace(given, matches=clear), folder / "mapper", seed, progress, options)
-
-
-def _others(given: MapperInput, matches: Matches, options: PosingOptions) -> Matches:
-    """The matches that do not go along with the camera."""
-    return Matches(*(without_carried(given.features, one, given.camera, options) for one in (matches.clear, matches.faint)))
 
 
 def _features(
@@ -191,39 +159,6 @@ def _matches(features: Sequence[Features], seed: int, progress: ProgressCallback
     found = on_all_cores(compare, pairs, "comparing photos", progress, MAX_TABLES)
     of_pair = list(zip(pairs, found, strict=True))
     return Matches({pair: clear for pair, (clear, _) in of_pair}, {pair: faint for pair, (_, faint) in of_pair})
-
-
-def _not_joined(given: MapperInput, matches: Matches, seed: int, options: PosingOptions) -> str:
-    """Why no photos could be joined, and what to do."""
-    count = len(given.features)
-    if count < LEAST_PHOTOS:
-        return f"{LEAST_PHOTOS} photos of one scene or more were expected to find their poses, found {count}; give more."
-    return _from_one_place(given, matches, seed, options) or (
-        f"Photos with enough in common to find their poses were expected, found {count} that COLMAP could not join; "
-        "take more photos with smaller steps between them, or give poses."
-    )
-
-
-def _from_one_place(given: MapperInput, matches: Matches, seed: int, options: PosingOptions) -> str:
-    """That most photos are from one place, and what to do: nothing has a depth from there, however much photos overlap. Empty
-    where they are not."""
-    count, here = len(given.features), len(at_one_place(given.features, matches.clear, seed, options))
-    if 2 * here <= count:
-        return ""
-    if 2 * _number(_others(given, matches, options).clear) < _number(matches.clear):
-        return (
-            f"Photos from different places were expected to find their poses, found that most of what {here} of {count} photos "
-            "have in common lies at the same place in each: the camera stood still, or it sees what goes along with it; move the "
-            f"camera between photos, and {TO_MASK}"
-        )
-    return (
-        f"Photos from different places were expected to find their poses, found {here} of {count} at one place, from where "
-        "nothing has a depth: a turn of the camera alone explains what they have in common; move the camera between photos."
-    )
-
-
-def _number(matches: PairMatches) -> int:
-    return sum(map(len, matches.values()))
 
 
 def _result(
