@@ -22,7 +22,7 @@ def rig_by_poses(poses: ImagePoses, cameras: Calibration, options: SceneOptions)
     frames = [order.index(name) for name in poses.frames]
     first, pairs = photos_beside(poses.cameras, frames, [True] * len(frames))
     found = rig_offsets(poses.cam_from_world, cam_from_rig_of(cameras, poses.cameras), poses.cameras, first, pairs)
-    if not found.clear(options.posing.given.rig_sigmas, ROUNDED_RAD, ROUNDED_M):
+    if not found.contradict(options.posing.given, ROUNDED_RAD, ROUNDED_M):
         return cameras, ()
     said = f"Poses do not agree with the rig of the calibration: they put {listed(found.places())} from its place there"
     if "rig" in options.refine:

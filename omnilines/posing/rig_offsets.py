@@ -10,6 +10,7 @@ from torch import Tensor
 
 from camera_models.pose import Pose
 from camera_models.wording import rounded
+from omnilines.posing.options import GivenOptions
 
 LEAST_INSTANTS = 3
 """From which a camera's place in the rig is told, and how well."""
@@ -43,14 +44,14 @@ class RigOffsets:
             if len(off) >= LEAST_INSTANTS
         ]
 
-    def clear(self, sigmas: float, least_rad: float, least_m: float) -> bool:
-        """Whether a camera is farther off than so many standard deviations of that median, and than those lengths."""
+    def contradict(self, options: GivenOptions, least_rad: float, least_m: float) -> bool:
+        """Whether a camera is farther off than `rig_sigmas` standard deviations of that median, and than these lengths."""
         for off in self.off.values():
             if len(off) < LEAST_INSTANTS:
                 continue
             for part, least in ((off[:, :3], least_rad), (off[:, 3:], least_m)):
                 middle, sigma = _median(part)
-                if middle > max(sigmas * sigma, least):
+                if middle > max(options.rig_sigmas * sigma, least):
                     return True
         return False
 
