@@ -12,6 +12,7 @@ from matching_scenes import looking, random_arcs, room, shaken
 from camera_models.pose import Pose
 from omnilines.matching.known_lines import KnownLines
 from omnilines.matching.match import Matched, match_arcs
+from omnilines.matching.options import MatchingOptions, PlacingOptions
 from omnilines.matching.photo_starts import meeting_directions, parallel_directions, start_poses
 from omnilines.matching.placing import lines_of_others, lines_of_tracks, mended_pose, placed_anywhere
 from omnilines.matching.resection import _linearised, explained_by_lines, refined_by_lines
@@ -98,6 +99,19 @@ def test_a_photo_that_is_moved_again_and_again_keeps_a_rotation() -> None:
         own = own.with_poses(one.pose)
     off = one.pose.rotation @ one.pose.rotation.mT - torch.eye(3, dtype=torch.float64)
     assert float(off.abs().max()) < 1e-13
+
+
+@pytest.mark.slow
+def test_a_pose_that_is_found_anew_is_judged_by_all_lines() -> None:
+    """It was sought by the longest ones, and compared by these with a pose that all of them were asked of."""
+    truth, found = room("fisheye").poses, matched("fisheye", True)
+    away = Pose.exp(torch.tensor([[0.0, math.pi / 2.0, 0.0, 0.5, 0.0, 0.0]], dtype=torch.float64))
+    k = asked(found)[0]
+    known, own = others(found, k), found.arcs.of_photo(k)
+    options = MatchingOptions(placing=PlacingOptions(max_lines=len(known) // 2))
+    better = mended_pose(own.with_poses(away @ truth[[k]]), known, 0, options=options)
+    assert better is not None
+    assert len(better.arc) > 0.8 * len(own)
 
 
 @pytest.mark.slow

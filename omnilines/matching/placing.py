@@ -57,6 +57,8 @@ def mended_pose(
     best = own if near is None or near.score <= its.clearly_more * own.score else near
     if best.score < its.few_explained * typical * len(arcs):
         far = placed_anywhere(arcs, known, seed, options)
+        # By all lines, as the poses that it is compared with.
+        far = None if far is None else refined_by_lines(arcs.with_poses(far.pose), known, options)
         best = best if far is None or far.score <= its.above_chance * best.score else far
     return None if best is own else best
 
