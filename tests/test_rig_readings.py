@@ -1,5 +1,7 @@
 """Extrinsics of a rig that are written in another way are told by poses of photos of one instant; frames have to link cameras."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -93,6 +95,12 @@ def test_a_rig_begins_where_poses_of_its_photos_put_it_and_held_poses_stay_as_gi
         apart = (found.rig["right"].cam_from_rig @ MOUNTED[0].inverse() @ OFF.inverse()).log()
         assert float(apart.abs().max()) < 3e-4
         torch.testing.assert_close(found.rig["left"].cam_from_rig.rotation, torch.eye(3, dtype=torch.float64))
+    # Extrinsics in another reading are refused before poses are believed, and photos of no camera of the rig too.
+    inverted = replace(calibration, rig={**rig, "right": RigCamera(MOUNTED[0].inverse())})
+    with pytest.raises(InputError, match="inverted"):
+        rig_by_poses(elsewhere, inverted, SceneOptions(refine=("lines", "poses", "rig")))
+    with pytest.raises(InputError, match="camera of every photo of a rig"):
+        rig_by_poses(replace(elsewhere, cameras=("up",) * 10), calibration, SceneOptions())
     # Poses that are as far off each other as off the rig do not contradict it.
     for near in (instants_of(MOUNTED[0], 0.01), instants_of(MOUNTED[0], 0.0)):
         assert rig_by_poses(near, calibration, SceneOptions(refine=("lines", "poses", "rig"))) == (calibration, ())

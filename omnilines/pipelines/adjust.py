@@ -41,6 +41,7 @@ from omnilines.pipelines.rig_of_poses import rig_by_poses
 from omnilines.pipelines.scene import Scene, refined_calibration
 from omnilines.pipelines.scene_size import size_notes
 from omnilines.pipelines.supposed_errors import supposed_errors, unfollowed_errors
+from omnilines.posing.from_rig import with_rig
 from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.progress import ProgressCallback, silent
 from omnilines.records import Check, ImagePoses, LengthUnit, Lines, PosePoints, Segments
@@ -86,8 +87,9 @@ def adjust(
     if idle:
         raise InputError(f"`{idle[0]}` counts only with photos, found matched segments; leave that option as it is.")
     check_prior(pose_sigma, options)
+    cameras = with_rig(calibration_of(camera), poses.rig if isinstance(poses, PhotoPoses) else {})
     table = _table_of(poses, segments)
-    cameras, of_rig = rig_by_poses(table, calibration_of(camera), options)
+    cameras, of_rig = rig_by_poses(table, cameras, options)
     known = None if pose_sigma is None else KnownPoses(table, *pose_sigma)
     check_partition(options, rig=bool(cameras.rig) and table.frames is not None, prior=known is not None)
     require_inside(segments, cameras_of_images(segments, table, cameras), cameras, options.judge)

@@ -136,7 +136,7 @@ def reconstruct(
     require_cameras_of(arcs, cameras)
     check_options(options, cameras, pose_sigma)
     stated = poses if isinstance(poses, ImagePoses) else poses.poses
-    cameras = cameras if isinstance(poses, ImagePoses) else with_rig(cameras, poses.rig)
+    cameras = with_rig(cameras, poses.rig if isinstance(poses, PhotoPoses) else {})
     arcs, posed, given = _with_poses(arcs, poses, cameras, options, distance, work, progress, pose_sigma)
     cameras, of_rig = rig_by_poses(posed.poses, cameras, options)
     posed = replace(posed, notes=(*posed.notes, *of_rig))

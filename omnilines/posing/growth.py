@@ -101,7 +101,7 @@ def grow(
     for number, tolerance in enumerate(tolerances):
         words = f"matching again and refining poses, round {number + 1} of {len(tolerances)}"
         refine = partial(
-            _refined, features=features, matches=matches, limit=tolerance, options=options, stage=words, progress=progress
+            matched_again, features=features, matches=matches, limit=tolerance, stage=words, progress=progress, options=options
         )
         grown = refine(grown)
         if number < len(tolerances) - 1:
@@ -114,38 +114,20 @@ def grow(
     return grown
 
 
-def widely_matched(
-    grown: Grown,
-    features: Sequence[Features],
-    matches: Matches,
-    *,
-    stage: str,
-    progress: ProgressCallback = silent,
-    options: PosingOptions = PosingOptions(),
-) -> Grown:
-    """Points found anew by matches in the widest circles, and poses refined with them, once.
-
-    Raises GeometryError where no points are left.
-    """
-    return _refined(grown, features, matches, options.growth.tolerances_sigmas[0], options, stage, progress)
-
-
-def _typical_sigma(features: Sequence[Features]) -> float:
-    every = torch.cat([f.sigma_rad for f in features])
-    return float(every.median()) if len(every) else 1e-3
-
-
-def _refined(
+def matched_again(
     grown: Grown,
     features: Sequence[Features],
     matches: Matches,
     limit: float,
-    options: PosingOptions,
     stage: str,
-    progress: ProgressCallback,
+    progress: ProgressCallback = silent,
+    options: PosingOptions = PosingOptions(),
 ) -> Grown:
     """New guided matches, up to a limit in standard deviations of a keypoint, points from them, and two adjustments: with all,
-    and without what does not fit."""
+    and without what does not fit.
+
+    Raises GeometryError where no points are left.
+    """
     tolerance_rad = limit * _typical_sigma(features)
     poses, known = grown.cam_from_world, grown.photo_known
 
@@ -179,6 +161,11 @@ def _refined(
         covariance=final.covariance,
         scale=final.scale,
     )
+
+
+def _typical_sigma(features: Sequence[Features]) -> float:
+    every = torch.cat([f.sigma_rad for f in features])
+    return float(every.median()) if len(every) else 1e-3
 
 
 def _keys(features: Sequence[Features], matches: PairMatches) -> Int[Tensor, " k"]:

@@ -1,6 +1,5 @@
 """Photos joined by COLMAP, with all that they have in common or without what goes along with the camera, and why they are not."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,10 +56,11 @@ def others(given: MapperInput, matches: Matches, options: PosingOptions) -> Matc
     return Matches(*(without_carried(given.features, one, given.camera, options) for one in (matches.clear, matches.faint)))
 
 
-def about_one_place(here: Sequence[int], frame: Sequence[int]) -> tuple[str, ...]:
-    """What is to be said where photos at one place and every other instant are too few places; `frame` is that of each photo."""
-    places = len(set(frame) - {frame[k] for k in here}) + 1
-    return (ONE_PLACE.format(len(here), len(frame)),) if here and places < LEAST_PHOTOS else ()
+def about_one_place(given: MapperInput, matches: Matches, seed: int, options: PosingOptions) -> tuple[str, ...]:
+    """What is to be said of photos that have poses where those at one place and every other instant are too few places."""
+    here = at_one_place(given.features, matches.clear, seed, options)
+    places = len(set(given.frame) - {given.frame[k] for k in here}) + 1
+    return (ONE_PLACE.format(len(here), len(given.frame)),) if here and places < LEAST_PHOTOS else ()
 
 
 def _why_not(given: MapperInput, matches: Matches, seed: int, options: PosingOptions) -> str:

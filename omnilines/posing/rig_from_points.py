@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from camera_models import GeometryError
 from camera_models.pose import Pose
 from camera_models.wording import listed, rounded
 from omnilines.posing.growth import Grown
@@ -14,7 +15,7 @@ from omnilines.posing.rig_offsets import RigOffsets, photos_beside, rig_offsets,
 
 
 @dataclass(frozen=True)
-class _Alone:
+class PhotosAlone:
     """What points tell with each photo free to move by itself."""
 
     converged: bool
@@ -34,10 +35,23 @@ class BetterRig:
     """What is to be said of it."""
 
 
-def rig_doubts(grown: Grown, cameras: Sequence[str], options: GrowthOptions = GrowthOptions()) -> tuple[str, ...]:
-    """What is to be said of the rig where points scatter far less once each photo moves by itself; `cameras` are those of the
-    photos. Matches were chosen with the rig as given, so that it may be farther off than is said."""
-    alone = _alone(grown, cameras)
+def photos_alone(grown: Grown, cameras: Sequence[str]) -> PhotosAlone:
+    """Points adjusted once more with photos that no rig holds together; `cameras` are those of the photos."""
+    photos = len(cameras)
+    each = Frames(torch.arange(photos), Pose.identity(photos))
+    free = adjust_points(grown.seen, each, PosesAndPoints(grown.cam_from_world, grown.points))
+    first, pairs = _beside(grown, cameras)
+    poses, given = free.state.rig_from_world, grown.frames.cam_from_rig
+    scale = _scale(given, poses, [pair for own in pairs.values() for pair in own])
+    poses = Pose(poses.rotation, scale * poses.translation)
+    return PhotosAlone(free.converged, free.scale, poses, rig_offsets(poses, given, cameras, first, pairs))
+
+
+def rig_doubts(
+    grown: Grown, alone: PhotosAlone, *, refined: bool = False, options: GrowthOptions = GrowthOptions()
+) -> tuple[str, ...]:
+    """What is to be said of the rig where points scatter far less once each photo moves by itself; `refined` if lines refine it.
+    Matches were chosen with the rig as given, so that it may be farther off than is said."""
     if not alone.converged or not _doubted(grown, alone, options):
         return ()
     scatter = (
@@ -45,9 +59,9 @@ def rig_doubts(grown: Grown, cameras: Sequence[str], options: GrowthOptions = Gr
         f"{grown.scale:.2f} times as much as was assumed, with each photo free {alone.scale:.2f} times."
     )
     remedy = (
-        "Refine the rig (`refine` lines,poses,rig), calibrate it anew, or give a calibration of its cameras without their places "
-        "(lengths are then open); where the photos of one instant were taken one after another, the rig did not stand still "
-        "between them."
+        f"{'Calibrate the rig anew' if refined else 'Refine the rig (`refine` lines,poses,rig), calibrate it anew'}, or give a "
+        "calibration of its cameras without their places (lengths are then open); where the photos of one instant were taken one "
+        "after another, the rig did not stand still between them."
     )
     told = alone.rig.places()
     return (" ".join((scatter, *((f"They put {listed(told)} from there.",) if told else ()), remedy)),)
@@ -55,31 +69,35 @@ def rig_doubts(grown: Grown, cameras: Sequence[str], options: GrowthOptions = Gr
 
 def with_rig_of_points(
     grown: Grown,
+    alone: PhotosAlone,
     cameras: Sequence[str],
     matched_again: Callable[[Grown], Grown],
     grown_again: Callable[[Grown], Grown],
     options: GrowthOptions = GrowthOptions(),
 ) -> BetterRig | None:
-    """Photos grown again with the rig that points tell where that of the calibration is doubted; None where it is not, where it
-    remains as doubtful as it was, and where no points tell the place of a camera.
+    """Photos grown again with the rig that points tell where that of the calibration is doubted, from `grown` and what it says
+    `alone`; None where it is not, where it remains as doubtful as it was, and where points do not tell the place of each camera.
 
     Matches are chosen with a rig and hold it near where it was, so it is found and they are chosen in turn (`matched_again`),
     until points no longer doubt it.
     """
-    first = alone = _alone(grown, cameras)
-    given, found = grown.frames.cam_from_rig, grown
-    for _ in range(options.rig_rounds):
-        if not _doubted(found, alone, options) or not alone.rig.tell_all:
-            break
-        found = matched_again(_moved(found, alone, cameras))
-        alone = _alone(found, cameras)
-    if found is grown:
+    given, found, beside = grown.frames.cam_from_rig, grown, alone
+    try:
+        for _ in range(options.rig_rounds):
+            if not _doubted(found, beside, options) or not beside.rig.tell_all:
+                break
+            found = matched_again(_moved(found, beside, cameras))
+            beside = photos_alone(found, cameras)
+        if found is grown:
+            return None
+        found = grown_again(found)
+    except GeometryError:
+        # With a rig that is no better no points are left.
         return None
-    found = grown_again(found)
-    alone = _alone(found, cameras)
-    if not found.scale / alone.scale < grown.scale / first.scale:
+    beside = photos_alone(found, cameras)
+    if not found.scale / beside.scale < grown.scale / alone.scale:
         return None
-    their = rig_offsets(alone.cam_from_world, given, cameras, *_beside(found, cameras))
+    their = rig_offsets(beside.cam_from_world, given, cameras, *_beside(found, cameras))
     told = listed(their.places())
     return BetterRig(
         found,
@@ -104,28 +122,17 @@ def _of_scale(given: Pose, found: Pose, cameras: Sequence[str]) -> str:
     )
 
 
-def _alone(grown: Grown, cameras: Sequence[str]) -> _Alone:
-    photos = len(cameras)
-    each = Frames(torch.arange(photos), Pose.identity(photos))
-    free = adjust_points(grown.seen, each, PosesAndPoints(grown.cam_from_world, grown.points))
-    first, pairs = _beside(grown, cameras)
-    poses, given = free.state.rig_from_world, grown.frames.cam_from_rig
-    scale = _scale(given, poses, [pair for own in pairs.values() for pair in own])
-    poses = Pose(poses.rotation, scale * poses.translation)
-    return _Alone(free.converged, free.scale, poses, rig_offsets(poses, given, cameras, first, pairs))
-
-
 def _beside(grown: Grown, cameras: Sequence[str]) -> tuple[str, dict[str, list[tuple[int, int]]]]:
     """Of the photos that see points."""
     seen = torch.bincount(grown.seen.photo, minlength=len(cameras)) > 0
     return photos_beside(cameras, grown.frames.of_photo.tolist(), seen.tolist())
 
 
-def _doubted(grown: Grown, alone: _Alone, options: GrowthOptions) -> bool:
+def _doubted(grown: Grown, alone: PhotosAlone, options: GrowthOptions) -> bool:
     return grown.scale > options.rig_doubt * alone.scale
 
 
-def _moved(grown: Grown, alone: _Alone, cameras: Sequence[str]) -> Grown:
+def _moved(grown: Grown, alone: PhotosAlone, cameras: Sequence[str]) -> Grown:
     """With the cameras of the rig where they are in the median of the instants, and the instants where their photos are."""
     cam_from_rig, frame = alone.rig.told, grown.frames.of_photo
     poses = [grown.rig_from_world[k] for k in range(len(grown.known))]

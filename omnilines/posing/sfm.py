@@ -5,7 +5,7 @@ matches, resection of what COLMAP could not place, and a last adjustment of all 
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -22,13 +22,12 @@ from omnilines.posing.colmap_mapper import MapperInput
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, feature_finder
 from omnilines.posing.from_rig import cam_from_rig_of
-from omnilines.posing.growth import Grown, Matches, grow, start_from, widely_matched
+from omnilines.posing.growth import Grown, Matches, grow, matched_again, start_from
 from omnilines.posing.joining import TO_MASK, about_one_place, from_one_place, joined, mapped, others
-from omnilines.posing.one_place import at_one_place
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames
-from omnilines.posing.rig_from_points import rig_doubts, with_rig_of_points
+from omnilines.posing.rig_from_points import photos_alone, rig_doubts, with_rig_of_points
 from omnilines.posing.still_rig import rig_that_stood_still
 from omnilines.progress import ProgressCallback, on_all_cores, one_torch_thread, silent
 from omnilines.records import ImagePoses
@@ -75,60 +74,94 @@ def sfm_poses(
     rigid = bool(calibration.rig) and frame_of is not None
     frame_names = [frame_of[photo] if rigid and frame_of is not None else photo for photo in photos]
     order = {name: number for number, name in enumerate(dict.fromkeys(frame_names))}
-    frame = [order[name] for name in frame_names]
     names = [camera_of[photo] for photo in photos]
-    rig = cam_from_rig_of(calibration, names) if rigid else Pose.identity(len(photos))
     features = _features(photos, read, mask_of, calibration, names, progress, options.features)
     matches = _matches(features, seed, progress, options)
     numbers = list(calibration)
     in_rig = {numbers.index(name): calibration.rig[name].cam_from_rig for name in numbers} if rigid else {}
+    frame = [order[name] for name in frame_names]
     given = MapperInput(features, matches.clear, [numbers.index(name) for name in names], frame, in_rig)
-    work = Path(work_folder)
-
-    def located(parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
-        again = partial(grow, features=features, matches=matches, seed=seed, progress=progress, options=options)
-        words = "finding the rig anew"
-        wide = partial(widely_matched, features=features, matches=matches, stage=words, progress=progress, options=options)
-        grown = again(start_from(Frames(torch.tensor(frame), rig), parts[0]))
-        found = _result(photos, names, frame_names if rigid else None, features, grown, parts, options.growth)
-        if not grown.frames.has_scale:
-            return found
-        better = with_rig_of_points(grown, names, wide, again, options.growth) if refine_rig else None
-        if better is None:
-            return replace(found, notes=(*found.notes, *rig_doubts(grown, names, options.growth)))
-        found = _result(photos, names, frame_names, features, better.grown, parts, options.growth)
-        given = {name: mounted.cam_from_rig for name, mounted in calibration.rig.items()}
-        own = {name: better.grown.frames.cam_from_rig[k] for k, name in enumerate(names)}
-        return replace(found, notes=(*found.notes, better.note), rig={**given, **own})
-
-    def placed(parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
-        try:
-            with one_torch_thread():
-                return located(parts, matches)
-        except GeometryError as none:
-            # COLMAP joins photos of one place too, at times; they have no points then.
-            raise GeometryError(from_one_place(given, matches, seed, options) or str(none)) from none
-
-    parts, matches, told = joined(given, matches, work, seed, progress, options)
-    found = placed(parts, matches)
+    asked = _Asked(
+        photos, names, frame_names if rigid else None, calibration, given, refine_rig, Path(work_folder), seed, progress, options
+    )
+    parts, matches, told = joined(given, matches, asked.work, seed, progress, options)
+    found = _placed(asked, parts, matches)
     # A rig that stood still sees the world at one bearing, also at an instant that something moving has taken along.
     if not told and rig_that_stood_still(found.poses, options.carried.rig_still) is None:
-        poses = {photos.index(name): found.poses.cam_from_world[k] for k, name in enumerate(found.poses.images)}
-        share = carried_share(features, matches.clear, given.camera, poses, options)
-        if share >= options.carried.least_share:
-            # Poses with which only that agrees are wrong, though it be most of what photos have in common.
-            without = others(given, matches, options)
-            parts = mapped(given, without.clear, work, seed, progress, options)
-            its = agreeing(features, without.clear, parts[0], options) if parts else 0
-            better = its > agreeing(features, without.clear, poses, options)
-            found = placed(parts, without) if better else found
-            if not better:  # The poses stand: what they explain of that is the world.
-                share = carried_share(features, matches.clear, given.camera, poses, options, contradicting=True)
-            if share >= options.carried.least_share:
-                told = (GOES_ALONG.format(share, WITHOUT_IT if better else ""),)
-        if not told:
-            told = about_one_place(at_one_place(features, matches.clear, seed, options), frame)
+        found, told = _not_carried(asked, found, matches)
+        told = told or about_one_place(given, matches, seed, options)
     return replace(found, notes=(*found.notes, *told))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The photos that poses are looked for, and how."""
+
+    photos: Sequence[str]
+    names: Sequence[str]
+    """The camera of each."""
+    frame_names: Sequence[str] | None
+    """The instant of each, where a rig took them."""
+    calibration: Calibration
+    given: MapperInput
+    refine_rig: bool
+    work: Path
+    seed: int
+    progress: ProgressCallback
+    options: PosingOptions
+
+
+def _placed(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
+    """The poses that grow from what COLMAP joined. Raises GeometryError where they leave no points, with the reason."""
+    try:
+        with one_torch_thread():
+            return _grown(asked, parts, matches)
+    except GeometryError as none:
+        # COLMAP joins photos of one place too, at times; they have no points then.
+        raise GeometryError(from_one_place(asked.given, matches, asked.seed, asked.options) or str(none)) from none
+
+
+def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> PhotoPoses:
+    names, features, options = asked.names, asked.given.features, asked.options
+    again = partial(grow, features=features, matches=matches, seed=asked.seed, progress=asked.progress, options=options)
+    rig = Pose.identity(len(names)) if asked.frame_names is None else cam_from_rig_of(asked.calibration, names)
+    grown = again(start_from(Frames(torch.tensor(asked.given.frame), rig), parts[0]))
+    found = _result(asked.photos, names, asked.frame_names, features, grown, parts, options.growth)
+    if not grown.frames.has_scale:
+        return found
+    alone, better = photos_alone(grown, names), None
+    if asked.refine_rig:
+        wide = partial(
+            matched_again, features=features, matches=matches, limit=options.growth.tolerances_sigmas[0],
+            stage="finding the rig anew", progress=asked.progress, options=options,
+        )  # fmt: skip
+        better = with_rig_of_points(grown, alone, names, wide, again, options.growth)
+    if better is None:
+        doubts = rig_doubts(grown, alone, refined=asked.refine_rig, options=options.growth)
+        return replace(found, notes=(*found.notes, *doubts))
+    found = _result(asked.photos, names, asked.frame_names, features, better.grown, parts, options.growth)
+    given = {name: mounted.cam_from_rig for name, mounted in asked.calibration.rig.items()}
+    own = {name: better.grown.frames.cam_from_rig[k] for k, name in enumerate(names)}
+    return replace(found, notes=(*found.notes, better.note), rig={**given, **own})
+
+
+def _not_carried(asked: _Asked, found: PhotoPoses, matches: Matches) -> tuple[PhotoPoses, tuple[str, ...]]:
+    """The poses by what does not go along with the camera, where something does and more of the rest agrees with these, and what
+    is to be said of it."""
+    features, camera, options = asked.given.features, asked.given.camera, asked.options
+    poses = {asked.photos.index(name): found.poses.cam_from_world[k] for k, name in enumerate(found.poses.images)}
+    share = carried_share(features, matches.clear, camera, poses, options)
+    if share < options.carried.least_share:
+        return found, ()
+    # Poses with which only that agrees are wrong, though it be most of what photos have in common.
+    without = others(asked.given, matches, options)
+    parts = mapped(asked.given, without.clear, asked.work, asked.seed, asked.progress, options)
+    its = agreeing(features, without.clear, parts[0], options) if parts else 0
+    if its > agreeing(features, without.clear, poses, options):
+        return _placed(asked, parts, without), (GOES_ALONG.format(share, WITHOUT_IT),)
+    # The poses stand: what they explain of that is the world.
+    share = carried_share(features, matches.clear, camera, poses, options, contradicting=True)
+    return found, (GOES_ALONG.format(share, ""),) if share >= options.carried.least_share else ()
 
 
 def _features(
