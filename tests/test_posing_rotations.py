@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from test_posing_sfm import described, places, world
+from sfm_scenes import described, places, world
 
 from camera_models.pose import Pose
 from omnilines.posing.colmap_mapper import MapperInput, map_photos

@@ -1,7 +1,6 @@
 """Structure from motion against truth: features of a synthetic scene for every camera, rendered rooms end to end."""
 
 import math
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,19 +8,16 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from sfm_scenes import NOISE_PX, described, errors, places, run_on, unit, world
 
-from camera_models import Calibration, CameraEstimate, CameraModel, GeometryError, InputError
-from camera_models.formats.calibration_data import RigCamera
+from camera_models import CameraEstimate, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
-from camera_models.rotations import similarity_alignment
 from omnilines.files import read_photo, write_png
-from omnilines.posing import joining, sfm
-from omnilines.posing.carried_along import agreeing
-from omnilines.posing.feature_matches import matched, matched_near, pairs_to_compare
+from omnilines.posing import joining
+from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
 from omnilines.posing.one_place import at_one_place
-from omnilines.posing.options import MatchOptions
-from omnilines.posing.photo_poses import PhotoPoses, moved_poses
+from omnilines.posing.photo_poses import PhotoPoses
 from omnilines.posing.sfm import doubt, sfm_poses
 from omnilines.records import ImagePoses
 from omnilines.scenes import build_scene, eye, render_photo, scene_camera, scene_poses
@@ -32,60 +28,6 @@ CAMERAS = (
     ("equirectangular", None),
     ("pinhole", None),
 )
-NOISE_PX = 0.35
-
-
-def described(model: CameraModel, pose: Pose, points: np.ndarray, words: np.ndarray, rng: np.random.Generator) -> Features:
-    """What a photo shows of points: their bearings with noise, descriptors with some, in any order, and clutter."""
-    pixels, valid = model.project(pose.transform(torch.as_tensor(points)))
-    inside = valid & ((pixels > 0) & (pixels < torch.tensor(model.image_size) - 1.0)).all(-1)
-    seen = rng.permutation(np.flatnonzero(inside.numpy() & (rng.uniform(size=len(points)) < 0.8)))
-    clutter = rng.uniform(0, 1, (60, 2)) * (np.array(model.image_size) - 1)
-    at = torch.as_tensor(np.concatenate([pixels[seen].numpy() + NOISE_PX * rng.normal(size=(len(seen), 2)), clutter]))
-    bearings, good = model.unproject(at)
-    own = np.concatenate([words[seen] + 6 * rng.normal(size=(len(seen), 128)), rng.uniform(0, 100, (60, 128))])
-    descriptors = torch.as_tensor(np.clip(own, 0, 255).astype(np.uint8))
-    jacobian = model.unproject_jacobian(at)
-    sigma = NOISE_PX * torch.linalg.matrix_norm(jacobian, ord=2)
-    return Features(bearings[good], torch.linalg.pinv(jacobian[good]) / NOISE_PX, sigma[good], descriptors[good])
-
-
-def world(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Points on the walls of a room of 5 x 4 x 3 m, and a descriptor for each."""
-    rng = np.random.default_rng(seed)
-    half = np.array([2.5, 2.0, 1.5])
-    points = rng.uniform(-1, 1, (count, 3))
-    wall = rng.integers(3, size=count)
-    points[np.arange(count), wall] = np.sign(points[np.arange(count), wall])
-    return points * half, rng.uniform(0, 100, (count, 128))
-
-
-def places(count: int, seed: int, around_rad: float = 5.0) -> Pose:
-    """Upright cameras in the room that look around by some angle."""
-    rng = np.random.default_rng(seed)
-    turn = Pose.exp(torch.as_tensor(np.stack([0.2 * rng.normal(size=6) * [1, 0, 1, 0, 0, 0] for _ in range(count)])))
-    yaw = torch.zeros(count, 6, dtype=torch.float64)
-    yaw[:, 1] = torch.linspace(0, around_rad, count, dtype=torch.float64)
-    rotation = (turn @ Pose.exp(yaw)).rotation
-    centre = torch.as_tensor(rng.uniform(-1, 1, (count, 3)) * [1.5, 1.2, 0.5])
-    return Pose(rotation, -(rotation @ centre[..., None])[..., 0])
-
-
-def errors(found: ImagePoses, truth: Pose, names: list[str], *, metric: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of position (m) and rotation (degrees) after a similarity, or after a rigid motion."""
-    true = truth[[names.index(name) for name in found.images]]
-    scale, similarity = similarity_alignment(found.cam_from_world.centre, true.centre)
-    if metric:
-        assert float(scale) == pytest.approx(1.0, abs=5e-3)
-    moved = moved_poses(found, float(scale), similarity).cam_from_world
-    turned = (moved @ true.inverse()).log()[:, :3].norm(dim=-1)
-    return (moved.centre - true.centre).norm(dim=-1).numpy(), np.degrees(turned.numpy())
-
-
-def run_on(features: list[Features], monkeypatch, folder: Path, cameras, names: list[str], camera_of, **options) -> PhotoPoses:
-    """Structure from motion of features that are given instead of photos."""
-    monkeypatch.setattr(sfm, "_features", lambda *_: features)
-    return sfm_poses(names, lambda _: np.zeros((1, 1), np.uint8), cameras, camera_of, folder, **options)
 
 
 @pytest.mark.slow
@@ -126,72 +68,6 @@ def test_the_same_seed_gives_the_same_poses(monkeypatch, tmp_path):
     ]
     assert torch.equal(runs[0].poses.cam_from_world.rotation, runs[1].poses.cam_from_world.rotation)
     assert torch.equal(runs[0].poses.cam_from_world.translation, runs[1].poses.cam_from_world.translation)
-
-
-SECOND = Pose.exp(torch.tensor([0.1, math.pi / 2, 0.05, 0.25, 0.02, 0.1], dtype=torch.float64))
-"""The right camera of a pair from the left one."""
-
-
-def posed_pair(stated: Pose, monkeypatch, tmp_path, **asked):
-    """What structure from motion finds of five instants of a pair, `stated` as the right camera's place, and the true poses."""
-    camera, _ = scene_camera("scaramuzza", (800, 600), 0, 220.0)
-    rig = {"left": RigCamera(Pose.identity()), "right": RigCamera(stated)}
-    calibration = Calibration(dict.fromkeys(rig, camera), {}, rig)
-    points, words = world(700, 4)
-    at = places(5, 6)
-    names, poses, features = [], [], []
-    for k in range(5):
-        for name, cam_from_rig in (("left", Pose.identity()), ("right", SECOND)):
-            names.append(f"{name}/{k}.png")
-            poses.append(cam_from_rig @ at[k])
-            features.append(described(camera, poses[-1], points, words, np.random.default_rng([len(names), 7])))
-    camera_of, frame_of = {n: n.split("/")[0] for n in names}, {n: n.split("/")[1] for n in names}
-    return run_on(features, monkeypatch, tmp_path, calibration, names, camera_of, frame_of=frame_of, **asked), poses
-
-
-@pytest.mark.slow
-def test_a_rig_moves_as_one_and_gives_the_scale(monkeypatch, tmp_path):
-    found, poses = posed_pair(SECOND, monkeypatch, tmp_path)
-    names = [f"{name}/{k}.png" for k in range(5) for name in ("left", "right")]
-    assert found.poses.images == tuple(names)
-    position, rotation = errors(found.poses, Pose.stack(poses), names, metric=True)
-    assert position.max() < 0.01
-    assert rotation.max() < 0.15
-    assert "metres" in found.notes[0]
-    relative = found.poses.cam_from_world[1] @ found.poses.cam_from_world[0].inverse()
-    torch.testing.assert_close(relative.translation, SECOND.translation, rtol=0, atol=1e-9)
-    assert found.poses.frames == tuple(f"{k}.png" for k in range(5) for _ in range(2))
-    assert not any("do not agree with the rig" in note for note in found.notes)
-
-
-@pytest.mark.slow
-def test_a_rig_that_photos_contradict_is_named(monkeypatch, tmp_path):
-    """Its right camera is turned by 0.6 degrees from where the calibration has it."""
-    off = Pose.exp(torch.tensor([0.3, 0.4, 0.33, 0.0, 0.0, 0.0], dtype=torch.float64).deg2rad())
-    found, _ = posed_pair(off @ SECOND, monkeypatch, tmp_path)
-    (said,) = [note for note in found.notes if "do not agree with the rig" in note]
-    (told,) = re.findall(r"They put right ([\d.]+) \(± ([\d.]+)\) degrees", said)
-    turn_deg, sigma_deg = map(float, told)
-    assert 0.3 < turn_deg < 0.7 and sigma_deg < 0.2 * turn_deg
-
-
-@pytest.mark.slow
-def test_a_rig_that_photos_contradict_is_found_anew_where_it_is_refined(monkeypatch, tmp_path):
-    """Its right camera is turned by 2.5 degrees and 20 mm off; one that is right stays, to the last digit."""
-    off = Pose.exp(torch.cat([torch.tensor([1.5, 2.0, 0.0]).double().deg2rad(), torch.tensor([0.012, 0.0, 0.016]).double()]))
-    found, poses = posed_pair(off @ SECOND, monkeypatch, tmp_path, refine_rig=True)
-    assert any("The rig is as photos tell" in note for note in found.notes)
-    apart = (found.rig["right"] @ found.rig["left"].inverse() @ SECOND.inverse()).log()
-    assert float(apart[:3].norm().rad2deg()) < 0.1
-    mounted = found.poses.cam_from_world[1] @ found.poses.cam_from_world[0].inverse()
-    torch.testing.assert_close(mounted.rotation, (found.rig["right"] @ found.rig["left"].inverse()).rotation, rtol=0, atol=1e-9)
-    # The scale is that of the calibration, whose cameras are farther apart.
-    names = [f"{name}/{k}.png" for k in range(5) for name in ("left", "right")]
-    stretched = float((off @ SECOND).translation.norm() / SECOND.translation.norm())
-    position, rotation = errors(found.poses, Pose.stack(poses).after_similarity(stretched, Pose.identity()), names, metric=True)
-    assert position.max() < 0.02 and rotation.max() < 0.15
-    right, _ = posed_pair(SECOND, monkeypatch, tmp_path, refine_rig=True)
-    assert not right.rig
 
 
 @pytest.mark.slow
@@ -322,112 +198,6 @@ def test_what_goes_along_with_the_camera_is_told_and_keeps_no_pose_from_being_fo
     stood = [described(camera, truth[0], points, words, np.random.default_rng([k, 5])) for k in range(6)]
     with pytest.raises(GeometryError, match="most of what 6 of 6 photos have in common lies at the same place in each"):
         run_on(stood, *call)
-
-
-def test_matches_near_the_epipolar_circle_are_the_true_ones():
-    camera, _ = scene_camera("equirectangular", (800, 400), 0)
-    points, words = world(500, 1)
-    truth = places(2, 2)
-    a, b = (described(camera, truth[k], points, words, np.random.default_rng([k, 5])) for k in range(2))
-    clear, faint = matched(a, b)
-    assert len(clear) > 200
-    assert {tuple(p) for p in clear.tolist()} <= {tuple(p) for p in faint.tolist()}
-    relative = truth[1] @ truth[0].inverse()
-    guided = {tuple(p) for p in matched_near(a, b, relative, 4 * float(a.sigma_rad.median())).tolist()}
-    assert len(guided & {tuple(p) for p in clear.tolist()}) > 0.9 * len(clear)
-    behind = Pose(relative.rotation, -relative.translation)
-    wrong = {tuple(p) for p in matched_near(a, b, behind, 4 * float(a.sigma_rad.median())).tolist()}
-    assert len(wrong & {tuple(p) for p in clear.tolist()}) < 0.1 * len(clear)
-
-
-def plainly_matched(a: Features, b: Features, b_from_a: Pose, tolerance: float, options: MatchOptions) -> set[tuple[int, int]]:
-    """`matched_near` by comparing all features with all."""
-    alike = (a.unit_descriptors() @ b.unit_descriptors().mT).numpy().astype(np.float64)
-    near = plain_near(alike, a.bearings.numpy(), b.bearings.numpy(), b_from_a, tolerance, options.guided_cosine)
-    best, first, second, back = near
-    clear = np.maximum(1.0 - first, 0.0) < options.guided_ratio**2 * np.maximum(1.0 - second, 0.0)
-    return {(i, j) for i, j in enumerate(best.tolist()) if j >= 0 and clear[i] and back[j] == i}
-
-
-@pytest.mark.parametrize("tolerance", [0.002, 0.03, 0.12, 0.3, 0.6, 1.2])
-@pytest.mark.parametrize("towards", [[0.3, -0.2, 0.9], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-def test_features_sought_by_rings_and_sectors_are_those_that_all_pairs_have(tolerance, towards):
-    """Also near the direction of the other camera, or opposite to it."""
-    rng = np.random.default_rng(3)
-    axis = unit(np.array(towards))
-    photos = []
-    for count in (300, 400):
-        rays = rng.standard_normal((count, 3))
-        rays[:60] = 0.2 * rays[:60] + np.where(np.arange(60) % 2, 1.0, -1.0)[:, None] * axis
-        descriptors = rng.integers(0, 40, (count, 128)) + 100 * (rng.integers(0, 30, (count, 1)) == np.arange(128) % 30)
-        photos.append(photo_of(unit(rays), descriptors.astype(np.uint8)))
-    b_from_a = Pose(Pose.exp(torch.as_tensor(0.3 * rng.standard_normal(6))).rotation, torch.as_tensor(2.0 * axis))
-    found = {tuple(pair) for pair in matched_near(*photos, b_from_a, tolerance).tolist()}
-    assert found == plainly_matched(*photos, b_from_a, tolerance, MatchOptions())
-
-
-def test_cameras_at_one_place_are_matched_near_the_direction_of_a_feature():
-    rng = np.random.default_rng(4)
-    rays = unit(rng.standard_normal((200, 3)))
-    turn = Pose(Pose.exp(torch.as_tensor(rng.standard_normal(6))).rotation, torch.zeros(3, dtype=torch.float64))
-    words = rng.integers(0, 256, (200, 128)).astype(np.uint8)
-    a, b = photo_of(rays, words), photo_of(rays @ turn.rotation.numpy().T, words)
-    torch.testing.assert_close(matched_near(a, b, turn, 0.01), torch.arange(200)[:, None].expand(200, 2), rtol=0, atol=0)
-    elsewhere = photo_of(np.roll(b.bearings.numpy(), 1, axis=0), words)
-    assert not any(i == j for i, j in matched_near(a, elsewhere, turn, 0.01).tolist())
-
-
-def photo_of(rays: np.ndarray, descriptors: np.ndarray) -> Features:
-    none = torch.zeros(len(rays), 2, 3, dtype=torch.float64)
-    return Features(torch.as_tensor(rays), none, none[:, 0, 0], torch.as_tensor(descriptors))
-
-
-def test_poses_with_which_matches_meet_behind_the_cameras_explain_none_of_them():
-    """A camera that walks ahead has the same epipolar circles one step behind, where photos of a corridor were put."""
-    camera, _ = scene_camera("equirectangular", (800, 400), 0)
-    points, words = world(500, 1)
-    step = torch.tensor([0.0, 0.0, -1.0], dtype=torch.float64)
-    here, ahead, behind = (Pose(torch.eye(3, dtype=torch.float64), k * step) for k in (0, 1, -1))
-    photos = [described(camera, pose, points, words, np.random.default_rng([k, 5])) for k, pose in enumerate((here, ahead))]
-    matches = {(0, 1): matched(*photos)[0]}
-    count = len(matches[0, 1])
-    assert count > 200 and agreeing(photos, matches, {0: here, 1: ahead}) > 0.95 * count
-    assert agreeing(photos, matches, {0: here, 1: behind}) < 0.05 * count
-
-
-def unit(v: np.ndarray) -> np.ndarray:
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
-
-
-def plain_near(
-    alike: np.ndarray, a: np.ndarray, b: np.ndarray, b_from_a: Pose, tolerance: float, least: float
-) -> tuple[np.ndarray, ...]:
-    """Best, how alike it is and the second best, and back, from the cosines of all descriptors of features on a half circle."""
-    far = a @ b_from_a.rotation.numpy().T
-    towards = np.broadcast_to(unit(b_from_a.translation.numpy()), far.shape)
-    normal = unit(np.cross(far, towards))
-    whole = np.arccos(np.clip((far * towards).sum(-1), -1.0, 1.0))
-    sideways = np.cross(normal, far)
-    angle = np.arctan2(sideways @ b.T, far @ b.T)
-    near = (np.abs(normal @ b.T) < tolerance) & (angle > -tolerance) & (angle < whole[:, None] + tolerance) & (alike > least)
-    seen = np.where(near, alike, least)
-    ordered = np.sort(np.concatenate([seen, np.full((len(a), 1), least)], 1), 1)
-    best = np.where(near.any(1), seen.argmax(1), -1)
-    return best, ordered[:, -1], ordered[:, -2], np.where(near.any(0), seen.argmax(0), -1)
-
-
-def test_of_many_photos_each_is_compared_with_those_that_look_alike():
-    rng = np.random.default_rng(0)
-    options = MatchOptions()
-    count = options.max_exhaustive + 20
-    themes = rng.uniform(0, 100, (2, 40, 128))
-    own = [np.clip(themes[k % 2] + 5 * rng.normal(size=(40, 128)), 0, 255).astype(np.uint8) for k in range(count)]
-    none = torch.zeros(40, 3, dtype=torch.float64)
-    photos = [Features(none, torch.zeros(40, 2, 3, dtype=torch.float64), none[:, 0], torch.as_tensor(d)) for d in own]
-    pairs = pairs_to_compare(photos, 0)
-    assert len(pairs) <= options.neighbours * count
-    assert sum((i - j) % 2 == 0 for i, j in pairs) > 0.95 * len(pairs)
-    assert pairs_to_compare(photos[:4], 0) == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
 
 
 @pytest.mark.slow
