@@ -142,7 +142,7 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
     found = _result(asked.photos, names, asked.frame_names, features, better.grown, parts, options.growth)
     given = {name: mounted.cam_from_rig for name, mounted in asked.calibration.rig.items()}
     own = {name: better.grown.frames.cam_from_rig[k] for k, name in enumerate(names)}
-    return replace(found, notes=(*found.notes, better.note), rig={**given, **own})
+    return replace(found, notes=(better.note, *found.notes), rig={**given, **own})
 
 
 def _not_carried(asked: _Asked, found: PhotoPoses, matches: Matches) -> tuple[PhotoPoses, tuple[str, ...]]:
