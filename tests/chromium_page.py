@@ -23,6 +23,10 @@ CHROMIUM_FLAGS = [
 ]
 
 
+DRIVERS_ADVICE = "GL Driver Message (OpenGL, Performance"
+"""What Chromium writes to a page's console on behalf of its driver: a screenshot that reads back a drawing is slow."""
+
+
 @contextlib.contextmanager
 def opened(chromium: str, path: pathlib.Path, scheme: str, width: int = 1280) -> Iterator[tuple[Page, list[str], list[str]]]:
     """The page with all plots drawn, its messages on the console and the addresses it asked for."""
@@ -30,7 +34,7 @@ def opened(chromium: str, path: pathlib.Path, scheme: str, width: int = 1280) ->
         browser = playwright.chromium.launch(executable_path=chromium, args=CHROMIUM_FLAGS)
         context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
         page, messages, requests = context.new_page(), [], []
-        page.on("console", lambda message: messages.append(f"{message.type}: {message.text}"))
+        page.on("console", lambda m: None if DRIVERS_ADVICE in m.text else messages.append(f"{m.type}: {m.text}"))
         page.on("pageerror", lambda error: messages.append(f"pageerror: {error}"))
         page.on("request", lambda request: requests.append(request.url))
         page.goto(path.as_uri())
