@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation
 from sfm_scenes import described, places, world
 
 from camera_models.pose import Pose
+from omnilines.posing import colmap_mapper
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched
+from omnilines.posing.options import MapperOptions, PosingOptions
 from omnilines.posing.rotations import agreeing_pairs
 from omnilines.progress import one_torch_thread
 from omnilines.scenes import scene_camera
@@ -81,6 +83,23 @@ def test_a_photo_without_pairs_is_not_settled(tmp_path):
     wrong = replace(given, features=[*given.features[:5], replace(given.features[5], bearings=bearings)])
     map_photos(wrong, tmp_path, 0)
     assert (tmp_path / "models2").is_dir()
+
+
+def test_other_draws_are_tried_where_no_way_settles_all_photos(tmp_path, monkeypatch):
+    """With the seed given no photo is placed: that with the next one is taken, and the others are left."""
+    given, _ = six_panoramas()
+    own, drawn = colmap_mapper._mapped, []
+
+    def unlucky(module, database, models, options, *rest):
+        drawn.append(options.random_seed)
+        return [] if options.random_seed == 7 else own(module, database, models, options, *rest)
+
+    monkeypatch.setattr(colmap_mapper, "_mapped", unlucky)
+    (part,) = map_photos(given, tmp_path / "more", 7)
+    assert sorted(part) == list(range(6)) and drawn == [7, 7, 7, 8]
+    drawn.clear()
+    options = replace(PosingOptions(), mapper=MapperOptions(more_draws=0))
+    assert map_photos(given, tmp_path / "none", 7, options=options) == [] and drawn == [7, 7, 7]
 
 
 def test_a_mapping_tells_how_far_it_is_and_an_interrupt_ends_it(tmp_path):

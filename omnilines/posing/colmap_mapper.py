@@ -56,8 +56,8 @@ def map_photos(
 
     `folder` holds COLMAP's database and models; what an earlier run left in it there is replaced. One thread and a fixed seed
     make the result repeatable. Photos are added in several ways (`resection_px`), with all pairs and without those whose rotation
-    contradicts the others (rotations.py), until one has settled all of them; else that is taken whose largest part explains most
-    matches.
+    contradicts the others (rotations.py), and then with other draws (`more_draws`), until one has settled all of them; else that
+    is taken whose largest part explains most matches.
     """
     limits, inliers = options.mapper.resection_px, options.mapper.resection_inliers
     if not limits or len(limits) != len(inliers):
@@ -73,23 +73,25 @@ def map_photos(
     contradicting = [pair for pair, one in rays.items() if not one.agrees]
     best: list[dict[int, Pose]] = []
     most = -1
-    resections = list(zip(limits, inliers, strict=True))
-    for number, (all_pairs, (error_px, least)) in enumerate(itertools.product((True, False), resections)):
-        if not all_pairs and not contradicting:
-            break
-        if number == len(resections):
+    ways = [(seed, error_px, least) for error_px, least in zip(limits, inliers, strict=True)]
+    more = [(seed + 1 + draw, *ways[0][1:]) for draw in range(options.mapper.more_draws)]
+    regular = len(ways) * (2 if contradicting else 1)
+    for number, (draw, error_px, inliers_of_photo) in enumerate([*(ways * 2)[:regular], *more]):
+        if contradicting and number == len(ways):
             with module.Database.open(str(path)) as database:
                 for i, j in contradicting:
                     database.delete_two_view_geometry(i + 1, j + 1)
                     database.delete_matches(i + 1, j + 1)
         models = folder / f"models{number}"
         models.mkdir()
-        own = _options(module, seed, error_px, least, options.mapper.min_first_pair_inliers)
+        own = _options(module, draw, error_px, inliers_of_photo, options.mapper.min_first_pair_inliers)
         parts = _mapped(module, path, models, own, len(given.features), progress)
         explained = _explained(parts[0], rays) if parts else {}
         if sum(explained.values()) > most:
             best, most = parts, sum(explained.values())
-        if _settled(len(given.features), explained, rays, options.mapper.settled_share):
+        # What agrees with nothing is placed by no draw.
+        least = 1.0 if number + 1 < regular else 0.0
+        if _settled(len(given.features), explained, rays, options.mapper.settled_share, least):
             break
     return best
 
@@ -130,16 +132,20 @@ def _explained(part: Mapping[int, Pose], rays: Mapping[tuple[int, int], "_Rays"]
 
 
 def _settled(
-    photos: int, explained: Mapping[tuple[int, int], int], rays: Mapping[tuple[int, int], "_Rays"], least_share: float
+    photos: int,
+    explained: Mapping[tuple[int, int], int],
+    rays: Mapping[tuple[int, int], "_Rays"],
+    least_share: float,
+    least: float,
 ) -> bool:
-    """Whether each photo is placed and explains so large a share of its matches, in pairs whose rotations agree, that no other
-    way of adding photos would place it elsewhere: at a wrong place only few meet."""
+    """Whether each photo is placed and explains so large a share of its matches, in pairs whose rotations agree, and at least so
+    many, that no other way of adding photos would place it elsewhere: at a wrong place only few meet."""
     own, all_own = np.zeros(photos), np.zeros(photos)
     for pair, one in rays.items():
         if one.agrees:
             own[list(pair)] += explained.get(pair, 0)
             all_own[list(pair)] += len(one.a)
-    return bool((own >= np.maximum(least_share * all_own, 1.0)).all())
+    return bool((own >= np.maximum(least_share * all_own, least)).all())
 
 
 def _options(module: Any, seed: int, error_px: float, least: int, first_pair: int) -> Any:

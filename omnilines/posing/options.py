@@ -71,6 +71,9 @@ class MapperOptions(NamedTuple):
     tried in turn until all photos are settled, else the model is taken that most verified matches agree with."""
     resection_inliers: tuple[int, ...] = (15, 10, 15)
     """Least inliers of a photo that is added, for each of these errors."""
+    more_draws: int = 6
+    """Where none of these ways settles all photos, that of the first of them is tried so many times more with other draws of what
+    is random in it (which pair comes first, samples of RANSAC)."""
     settled_share: float = 0.8
     """Of the verified matches of each photo, in pairs whose rotations agree, that its pose has to explain: where it does for all
     photos, no other way of adding them is tried."""
