@@ -25,6 +25,7 @@ from omnilines.posing.from_rig import cam_from_rig_of
 from omnilines.posing.growth import Grown, Matches, grow, matched_again, start_from
 from omnilines.posing.joining import TO_MASK, about_one_place, from_one_place, joined, mapped, others
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
+from omnilines.posing.photo_changes import change_doubts
 from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames
 from omnilines.posing.rig_from_points import photos_alone, rig_doubts, with_rig_of_points
@@ -128,7 +129,8 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
     grown = again(start_from(Frames(torch.tensor(asked.given.frame), rig), parts[0]))
     found = _result(asked.photos, names, asked.frame_names, features, grown, parts, options.growth)
     if not grown.frames.has_scale:
-        return found
+        changes = change_doubts(grown, asked.calibration, names, options.growth)
+        return replace(found, notes=(*found.notes, *changes))
     alone, better = photos_alone(grown, names), None
     if asked.refine_rig:
         wide = partial(
@@ -138,6 +140,8 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
         better = with_rig_of_points(grown, alone, names, wide, again, options.growth)
     if better is None:
         doubts = rig_doubts(grown, alone, refined=asked.refine_rig, options=options.growth)
+        # A wrong rig makes the same photos contradict each other.
+        doubts = doubts or change_doubts(grown, asked.calibration, names, options.growth)
         return replace(found, notes=(*found.notes, *doubts))
     found = _result(asked.photos, names, asked.frame_names, features, better.grown, parts, options.growth)
     given = {name: mounted.cam_from_rig for name, mounted in asked.calibration.rig.items()}
