@@ -1,9 +1,9 @@
 """What changes between photos while cameras are held: rows read one after the other (rolling shutter), the focal length, crops.
 
 Each photo is given terms of its own beside its pose, for one kind at a time, and points and poses follow: one linear step of
-least squares from where they were adjusted, with the weights of the robust loss. What all photos share, such as an error of the
-calibration, is taken up by terms that are the same in all. Where points scatter far less with terms of each photo than with
-these, beyond chance (F test), that is said.
+least squares from where they were adjusted, with the weights of the robust loss. What all photos of a camera share, such as an
+error of its calibration, is taken up by terms that are the same in all. Where points scatter far less with terms of each photo
+than with these, beyond chance (F test), that is said.
 """
 
 import math
@@ -44,7 +44,7 @@ class _Kind(NamedTuple):
     """How points scatter, standard deviations of a residual."""
 
     alike: float
-    """With what all photos share."""
+    """With what all photos of a camera share."""
     each: float
     """With terms of each photo."""
     chance: float
@@ -60,7 +60,7 @@ def change_doubts(
     seen = _of_first_photos(grown.seen, options.most_changing)
     if len(seen) == 0:
         return ()
-    tried = {kind: _tried(kind, seen, grown, [models[name] for name in cameras]) for kind in MEANT}
+    tried = {kind: _tried(kind, seen, grown, models, cameras) for kind in MEANT}
     kind, best = min(tried.items(), key=lambda one: one[1].score)
     if best.alike <= options.change_doubt * best.each or best.chance >= options.change_significance:
         return ()
@@ -77,14 +77,17 @@ def _of_first_photos(seen: Observations, most: int) -> Observations:
     return own.chosen(torch.bincount(own.point)[own.point] > 1) if len(own) else own
 
 
-def _tried(kind: str, seen: Observations, grown: Grown, models: Sequence[CameraModel]) -> _Kind:
+def _tried(kind: str, seen: Observations, grown: Grown, models: Mapping[str, CameraModel], cameras: Sequence[str]) -> _Kind:
     poses = grown.cam_from_world[seen.photo]
     at = placed(poses, grown.points[seen.point])
     residual, by_point = bearing_residual(seen.bearings, seen.rows, at)
     weight = (1 + residual.square().sum(-1) / (LOSS_SIGMAS * grown.scale) ** 2).rsqrt()[:, None]
     of_pose = by_pose(by_point, at)
-    columns = torch.cat([of_pose, _by_terms(kind, seen, of_pose, models)], -1) * weight[..., None]
-    return _compared(seen, residual * weight, by_point @ poses.rotation * weight[..., None], columns)
+    columns = torch.cat([of_pose, _by_terms(kind, seen, of_pose, [models[name] for name in cameras])], -1)
+    own = [cameras[photo] for photo in torch.unique(seen.photo).tolist()]
+    of_camera = np.array([[name == one for one in dict.fromkeys(own)] for name in own], float)
+    by_point = by_point @ poses.rotation * weight[..., None]
+    return _compared(seen, residual * weight, by_point, columns * weight[..., None], of_camera)
 
 
 def _by_terms(kind: str, seen: Observations, of_pose: Float[Tensor, "n 2 6"], models: Sequence[CameraModel]) -> Tensor:
@@ -102,8 +105,10 @@ def _by_terms(kind: str, seen: Observations, of_pose: Float[Tensor, "n 2 6"], mo
     return found
 
 
-def _compared(seen: Observations, residual: Tensor, by_point: Tensor, columns: Tensor) -> _Kind:
-    """Of terms that are the same in all photos, and of each; points are eliminated."""
+def _compared(
+    seen: Observations, residual: Tensor, by_point: Tensor, columns: Tensor, of_camera: Float[np.ndarray, "v c"]
+) -> _Kind:
+    """Of terms that are the same in all photos of a camera, and of each; points are eliminated."""
     photo, point = (torch.unique(numbers, return_inverse=True)[1].numpy() for numbers in (seen.photo, seen.point))
     k, views, points, rows = (
         columns.shape[-1],
@@ -126,10 +131,10 @@ def _compared(seen: Observations, residual: Tensor, by_point: Tensor, columns: T
     left = vector - gone @ (inverse @ (gone.T @ vector))
     coupling = gone.T @ kept
     normal, right = (kept.T @ kept - coupling.T @ (inverse @ coupling)).toarray(), kept.T @ left
-    # Poses alone, with terms that all photos have alike, and with their own.
     own = np.eye(k * views).reshape(k * views, views, k)
     poses, terms = own[..., :POSE].reshape(k * views, -1), own[..., POSE:]
-    alike = _left(normal, right, np.concatenate([poses, terms.sum(1)], 1))
+    shared = np.einsum("ivt,vc->ict", terms, of_camera).reshape(k * views, -1)
+    alike = _left(normal, right, np.concatenate([poses, shared], 1))
     each = _left(normal, right, np.eye(k * views))
     squares, freedom = float(vector @ left), vector.size - 3 * points
     (gain, unknowns), (gain_each, unknowns_each) = alike, each
