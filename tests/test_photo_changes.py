@@ -83,3 +83,32 @@ def test_what_differs_is_not_told_beyond_the_noise() -> None:
     assert calibrate_camera(replace(corners, sigma_px=None), lens.image_size, lens.NAME).change is None
     faint = replace(corners, sigma_px=np.full(len(corners), NOISE_PX / 4))
     assert calibrate_camera(faint, lens.image_size, lens.NAME).change is None
+
+
+def test_photos_unlike_the_others_are_named_and_left_out() -> None:
+    """Two that were cropped and one that was zoomed: "wrong detection or numbering" was said of them."""
+    lens, reach_deg = FISHEYE
+    corners = seen(lens, reach_deg, 3)
+    shifts, larger = {2: (20.0, -12.0), 9: (-15.0, -18.0)}, {5: 1.06}
+    centre = lens.centre_px.numpy()
+    pixels = corners.pixels.copy()
+    for view in {**shifts, **larger}:
+        rows = corners.view == view
+        pixels[rows] = centre + larger.get(view, 1.0) * (pixels[rows] - centre) + shifts.get(view, (0.0, 0.0))
+    inside = ((pixels > 0) & (pixels < np.array(lens.image_size) - 1)).all(1)
+    cut = Corners(
+        corners.view[inside],
+        corners.view_names,
+        corners.images,
+        corners.board_m[inside],
+        pixels[inside],
+        np.full(inside.sum(), NOISE_PX),
+    )
+    fit = calibrate_camera(cut, lens.image_size, lens.NAME)
+    reasons = {k: view.reason for k, view in enumerate(fit.views) if not view.used}
+    assert reasons == {
+        2: "beside the others its image is shifted by 20 px to the right and 12 px up; give it uncropped",
+        9: "beside the others its image is shifted by 15 px to the left and 18 px up; give it uncropped",
+        5: "beside the others its image is 6 percent larger; give photos of one zoom and focus",
+    }
+    assert fit.change is None

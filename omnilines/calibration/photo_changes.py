@@ -17,17 +17,20 @@ is tried as well.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import torch
 from jaxtyping import Float
+from scipy import stats
 from torch import Tensor
 
-from camera_models.pose import hat
+from camera_models.pose import Pose, hat
+from camera_models.pose_fit import by_pose
 from camera_models.wording import rounded
 from omnilines.calibration.board_shape import BoardShape
-from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.initialise import BoardPoints, resect_boards
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.unmodelled import OF_LENS, LensProblem
 from omnilines.least_squares import Linearisation
@@ -35,8 +38,10 @@ from omnilines.least_squares import Linearisation
 Kind = Literal["focal", "centre", "turn", "motion", "bend"]
 DETERMINED = 1e-6
 """Singular values above this share, columns scaled, are those of what corners determine."""
-PULLS = 20
-"""Iterations for how much terms scatter, which settle sooner."""
+PULLS, STEPS = 20, 15
+"""Iterations for how much terms scatter, and for a view by itself, which settle sooner."""
+OF_IMAGE: tuple[Kind, ...] = ("centre", "focal")
+"""What one photo alone may have beside the others."""
 MEANT: dict[Kind, tuple[str, str]] = {
     "focal": (
         "The focal length is not the same in all photos",
@@ -125,7 +130,7 @@ def photo_change(
         if left.unknowns >= count or score(left) >= least:
             continue
         after_px = math.sqrt(left.squares / (count - left.unknowns))
-        size = left.scatter(after_px) if kind in ("focal", "centre") else 0.0
+        size = left.scatter(after_px) if kind in OF_IMAGE else 0.0
         least, best = score(left), PhotoChange(kind, size, before_px, after_px)
     return best if best is not None and best.after_px <= explained * stated_px else None
 
@@ -137,6 +142,60 @@ def _shared(
     shapes = [BoardShape.to_refine((kind,), points.board) for kind in ("flatness", "aspect")]
     bent = [BoardProblem(points, basis, weight, shape).linearise(replace(state, shape=shape)) for shape in shapes]
     return [*bent, *(LensProblem(moves, points, basis, weight).linearise(state) for moves in OF_LENS.values())]
+
+
+def unlike_views(
+    points: BoardPoints, state: CameraAndBoards, lost: Sequence[int], fits_better: float, significance: float
+) -> dict[int, str]:
+    """The `lost` views, which do not fit the camera of the others, that fit it with a shift or a size of their own, and what is
+    to be said of them: more than `fits_better` times as well (root mean square) beyond chance, and about as well as half of the
+    others do."""
+    freedom = (2 * points.counts - 6).clamp_min(1)
+    variance = points.sum_by_view(state.residual_px(points).square().sum(-1)) / freedom
+    others = [view for view in range(points.views) if view not in lost]
+    if not others:
+        return {}
+    most, found = fits_better**2 * float(variance[others].median()), {}
+    for view in lost:
+        own = points.of_views([view])
+        as_it_is, _ = _alone(own, state, None)
+        for kind in OF_IMAGE:
+            free = 2 * len(own.view) - 8
+            if free <= 0:
+                continue
+            squares, by = _alone(own, state, kind)
+            better = stats.f.sf(as_it_is / max(squares, 1e-300) / fits_better**2, free, free) < significance
+            if better and squares <= free * most:
+                found[view] = _unlike(kind, by)
+                break
+    return found
+
+
+def _unlike(kind: Kind, by: Float[Tensor, " m"]) -> str:
+    if kind == "focal":
+        way = "larger" if float(by) > 0 else "smaller"
+        return f"beside the others its image is {rounded(100 * abs(float(by)))} percent {way}; give photos of one zoom and focus"
+    right, down = (float(one) for one in by)
+    across = f"{rounded(abs(right))} px to the {'right' if right > 0 else 'left'}"
+    along = f"{rounded(abs(down))} px {'down' if down > 0 else 'up'}"
+    return f"beside the others its image is shifted by {across} and {along}; give it uncropped"
+
+
+def _alone(own: BoardPoints, state: CameraAndBoards, kind: Kind | None) -> tuple[float, Float[Tensor, " m"]]:
+    """The squared residuals of one view at the pose and the terms that fit it best, and the terms."""
+    model = state.model
+    at = CameraAndBoards(model, resect_boards(own, model.unproject(own.pixels)[0]), state.shape)
+    squares, terms = math.inf, own.pixels.new_zeros(0 if kind is None else {"focal": 1}.get(kind, 2))
+    for _ in range(STEPS):
+        seen = at.seen(own)
+        pixels, _, by_point, _ = model.project_with_jacobians(seen)
+        moved = pixels.new_zeros(len(pixels), 2, 0) if kind is None else _moved(kind, own, at)
+        residual = pixels + moved @ terms - own.pixels
+        squares = float(residual.square().sum())
+        columns = torch.cat([by_pose(by_point, seen), moved], -1).flatten(0, 1)
+        step = torch.linalg.lstsq(columns, -residual.flatten()[:, None], driver="gelsd").solution[:, 0]
+        at, terms = replace(at, cam_from_board=Pose.exp(step[None, :6]) @ at.cam_from_board), terms + step[6:]
+    return squares, terms
 
 
 @dataclass(frozen=True, eq=False)
