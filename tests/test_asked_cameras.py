@@ -15,8 +15,9 @@ from omnilines.adjustment.arcs import arcs_from_segments
 from omnilines.pages.limits_of_lines import scene_advice
 from omnilines.pages.scene import scene_data, scene_summary
 from omnilines.pipelines import asked_cameras as asking
-from omnilines.pipelines.asked_cameras import AskedCamera, asked_cameras
+from omnilines.pipelines.asked_cameras import AskedCamera, asked_by_points, asked_cameras
 from omnilines.pipelines.options import OF_TABLES, SceneOptions
+from omnilines.posing.photo_poses import CameraByPoints
 from omnilines.records import ImagePoses, Segments
 
 NOISE_PX = 0.03
@@ -141,10 +142,35 @@ def test_a_scene_says_that_lines_contradict_its_calibration() -> None:
     segments, poses, _ = world()
     scene = ol.adjust(segments, poses, CAMERA, OF_TABLES)
     assert not scene.contradicted and "contradict" not in str(scene_summary(scene).verdict)
-    wrong = replace(scene, asked=(AskedCamera("cam0", 4.4, 0.3, 3.1), AskedCamera("cam1", 0.1, 0.1, 0.0)))
+    wrong = replace(scene, asked=(AskedCamera("cam0", "lines", 4.4, 0.3, 3.1), AskedCamera("cam1", "points", 0.1, 0.1, 0.0)))
     told = scene_advice(wrong)[0]
     assert "by cam0 4.4 px (3.1 at least)." in told.limit and "cam1" not in told.limit and "omnilines check" in told.do
     assert str(scene_summary(wrong).verdict).endswith("but they contradict the calibration.")
+    by_points = replace(scene, asked=(AskedCamera("cam0", "lines", 1.7, 0.9, 0.1), AskedCamera("cam0", "points", 1.4, 0.1, 0.6)))
+    told = scene_advice(by_points)[0]
+    assert told.limit.startswith(
+        "Points contradict the calibration: adjusted beside points, the cameras move the image by cam0 1.4"
+    )
+    assert str(scene_summary(by_points).verdict).endswith("but points contradict the calibration.")
+    both = replace(scene, asked=tuple(AskedCamera("cam0", by, 4.4, 0.3, 3.1) for by in ("lines", "points")))
+    told = scene_advice(both)[0]
+    assert told.limit.startswith(
+        "Lines and points contradict the calibration: adjusted beside lines, the cameras move the image by"
+    )
+    assert "; beside points, the cameras move" in told.limit
+
+
+def test_points_are_asked_of_cameras_that_are_not_refined() -> None:
+    """Beside what the calibration states of itself."""
+    change = torch.zeros(len(CAMERA.parameters)).double()
+    change[:2] = 5.0
+    found = {"cam0": CameraByPoints(change.numpy(), np.diag([0.01] * 4 + [1e-8] * (len(change) - 4)), 0.5)}
+    (wrong,) = asked_by_points(found, calibration(), SceneOptions())
+    assert (wrong.name, wrong.by) == ("cam0", "points") and wrong.least_px > 0.0 and wrong.drift_px > 3.0 * wrong.sigma_px
+    known = Calibration({"cam0": CAMERA}, {"cam0": CameraEstimate(covariance=25.0 * np.eye(len(change)))})
+    (within,) = asked_by_points(found, known, SceneOptions())
+    assert within.least_px == 0.0 and within.drift_px == pytest.approx(wrong.drift_px)
+    assert asked_by_points(found, calibration(), SceneOptions(refine=("lines", "poses", "intrinsics"))) == ()
 
 
 @pytest.mark.slow

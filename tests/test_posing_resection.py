@@ -241,6 +241,26 @@ def test_the_covariance_of_poses_is_what_noise_does():
     assert 0.7 < np.median(scatter / stated) < 1.4
 
 
+def test_a_point_without_a_distance_leaves_poses_determined() -> None:
+    """Two photos of a walk see it straight ahead, where they go to: it lies anywhere along their way."""
+    ahead = Pose(torch.eye(3).double().expand(3, 3, 3), torch.tensor([[0.0, 0, 0], [0, 0, -1.0], [0.5, 0.2, -2.0]]).double())
+    points = torch.cat(
+        [torch.tensor([[0.0, 0.0, 9.0]]).double(), 3.0 * torch.randn(30, 3, generator=torch.manual_seed(0)).double()]
+    )
+    points[1:, 2] += 8.0
+    photo, point = torch.arange(3).repeat_interleave(31)[:-31], torch.arange(31).repeat(2)
+    photo, point = torch.cat([photo, torch.full((30,), 2)]), torch.cat([point, torch.arange(1, 31)])
+    at = placed(ahead[photo], points[point])
+    bearings = at / at.norm(dim=-1, keepdim=True)
+    seen = Observations(photo, point, point, bearings, across(bearings) / 1e-3)
+    frames = Frames(torch.arange(3), Pose.identity(3))
+    state = PosesAndPoints(ahead, points)
+    rest = seen.chosen(torch.nonzero(point > 0).flatten())
+    every, others = (PointEngine(one, frames, 31, 2.0).reduce(state, 0.0) for one in (seen, rest))
+    assert every is not None and others is not None
+    np.testing.assert_allclose(every.system.blocks, others.system.blocks, rtol=1e-9)
+
+
 def test_a_photo_of_few_points_makes_no_other_uncertain() -> None:
     """Errors in the frame nearest to the truth, each photo weighed by what is known of it: their squares average to one."""
     ratios, squared = [], []

@@ -13,6 +13,7 @@ from sfm_scenes import NOISE_PX, described, errors, places, run_on, unit, world
 from camera_models import CameraEstimate, CameraModel, GeometryError, InputError
 from camera_models.pose import Pose
 from omnilines.files import read_photo, write_png
+from omnilines.pipelines import poses as kept_poses
 from omnilines.posing import joining
 from omnilines.posing.feature_matches import matched, pairs_to_compare
 from omnilines.posing.features import Features, clear_of_surround, feature_finder
@@ -53,6 +54,19 @@ def test_poses_of_a_known_scene_are_found_with_every_camera(monkeypatch, tmp_pat
     torch.testing.assert_close(found.poses.cam_from_world[0].rotation, torch.eye(3, dtype=torch.float64), rtol=0, atol=1e-9)
     assert found.poses.covariance is not None
     assert np.isfinite(found.poses.covariance).all()
+    # The camera is right: points ask of it what their noise makes; of a panorama they have nothing to ask.
+    assert set(found.cameras) <= ({"cam0"} if camera.calibration_basis().shape[1] else set())
+    for one in found.cameras.values():
+        sigma = np.sqrt(np.diag(one.covariance))
+        np.testing.assert_array_less(np.abs(one.change[:2]), 4.0 * sigma[:2])
+    assert found.cameras or not narrow
+    kept_poses._write(tmp_path / "poses.npz", "these", found)
+    again = kept_poses._read(tmp_path / "poses.npz", "these")
+    assert again is not None and set(again.cameras) == set(found.cameras)
+    for name, one in again.cameras.items():
+        np.testing.assert_array_equal(one.change, found.cameras[name].change)
+        np.testing.assert_array_equal(one.covariance, found.cameras[name].covariance)
+        assert one.max_angle_rad == found.cameras[name].max_angle_rad
 
 
 @pytest.mark.slow

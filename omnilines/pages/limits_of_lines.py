@@ -81,15 +81,19 @@ def scene_advice(scene: Scene) -> tuple[Advice, ...]:
 
 
 def _contradicted(scene: Scene) -> list[Advice]:
-    """Cameras that the lines contradict."""
-    moved = [f"{one.name} {rounded(one.drift_px)} px ({rounded(one.least_px)} at least)" for one in scene.contradicted]
+    """Cameras that lines or points contradict."""
+    moved: dict[str, list[str]] = {}
+    for one in scene.contradicted:
+        moved.setdefault(one.by, []).append(f"{one.name} {rounded(one.drift_px)} px ({rounded(one.least_px)} at least)")
     if not moved:
         return []
+    by = [f"{of}, the cameras move the image by {named(cameras)}" for of, cameras in moved.items()]
     limit = (
-        f"The lines contradict the calibration: adjusted beside them, the cameras move the image by {named(moved)}. Lines and "
-        "poses are off by that, which no standard deviation holds."
+        f"{' and '.join(moved).capitalize()} contradict the calibration: adjusted beside {'; beside '.join(by)}. Lines and poses "
+        "are off by that, which no standard deviation holds."
     )
-    return [Advice(limit, f"{CHECK_IT} Or refine it: `refine` lines,poses,intrinsics.")]
+    wrong = " If it finds nothing, the poses are wrong, as those of photos of repeating things." if "points" in moved else ""
+    return [Advice(limit, f"{CHECK_IT}{wrong} Or refine it: `refine` lines,poses,intrinsics.")]
 
 
 def sigma_with_supposed_m(scene: Scene) -> float:

@@ -52,7 +52,8 @@ def _verdict(scene: Scene) -> str:
         known += f" (to {_known_to(scene, with_supposed)} if the calibration is off by {SUPPOSED_PX:g} px)"
     faint = f"; {weak} of them {'is' if weak == 1 else 'are'} weak" if weak else ""
     photos = str(len(scene.poses)) if scene.from_photos is None else _used(scene, scene.from_photos)
-    doubted = "; but they contradict the calibration" if scene.contradicted else ""
+    by = {one.by for one in scene.contradicted}
+    doubted = f"; but {'they' if 'lines' in by else 'points'} contradict the calibration" if by else ""
     return f"{int(lines.known.sum())} lines from {photos} photos{known}{faint}{doubted}."
 
 
@@ -84,7 +85,7 @@ def _of_photos(scene: Scene, of_photos: FromPhotos) -> tuple[tuple[tuple[str, st
         ("photos that see a line", f"{float(np.median(lines.views)):.0f} (median)"),
         ("rms_px", figure(scene.adjusted.rms_px(), ".3f")),
         ("slack for errors of poses and calibration", f"{of_photos.tolerance_px:g} px"),
-        *_by_lines(scene),
+        *_asked(scene),
         ("bow of long edges", f"{100 * of_photos.bow_share:g} percent of their length"),
         ("uncertainty of a line across it (sigma_m, median)", figure(scene.median_sigma_m(), ".3g", lines.unit.sign)),
         *_by_calibration(scene),
@@ -101,10 +102,12 @@ def _by_calibration(scene: Scene) -> tuple[tuple[str, str], ...]:
     return (("of it, by errors of the calibration", figure(sigma, ".3g", sign)),)
 
 
-def _by_lines(scene: Scene) -> tuple[tuple[str, str], ...]:
-    """How far lines move the image of each camera that has parameters, and what of that is noise."""
-    moved = [f"{one.name} {figure(one.drift_px, '.2g')} px (noise {figure(one.sigma_px, '.2g')})" for one in scene.asked]
-    return (("change of the calibration that lines ask for", ", ".join(moved)),) if moved else ()
+def _asked(scene: Scene) -> tuple[tuple[str, str], ...]:
+    """How far lines, and points, move the image of each camera that has parameters, and what of that is noise."""
+    moved: dict[str, list[str]] = {}
+    for one in scene.asked:
+        moved.setdefault(one.by, []).append(f"{one.name} {figure(one.drift_px, '.2g')} px (noise {figure(one.sigma_px, '.2g')})")
+    return tuple((f"change of the calibration that {by} ask for", ", ".join(cameras)) for by, cameras in moved.items())
 
 
 def _by_chance(lines: Lines) -> tuple[tuple[str, str], ...]:

@@ -1,4 +1,4 @@
-"""Whether the lines of a scene bear out the calibration that they were found with: what they ask of its cameras.
+"""Whether lines, and points of structure from motion, bear out the calibration that they were found with.
 
 Poses take up most of what a wrong camera does, and the slack of matching the rest: lines then fit, and are off by many of their
 standard deviations. So a part of them is adjusted once more with poses and cameras free. Where that moves a camera by d, with
@@ -10,7 +10,7 @@ is chi-square, with as many degrees of freedom as it has parameters, if the came
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from scipy import stats
 from torch import Tensor
 
-from camera_models import Calibration, CameraModel, GeometryError
+from camera_models import Calibration, GeometryError
 from omnilines.adjustment.adjusted import Adjusted
 from omnilines.adjustment.arcs import MatchedArcs
 from omnilines.adjustment.lines import adjust_lines, drop_unknown, lost_lines
@@ -35,6 +35,7 @@ from omnilines.least_squares import Outcome
 from omnilines.pipelines.calibration_errors import charts_of, known_calibration, whole_lines
 from omnilines.pipelines.kept_lines import shared_lines, shown_lines
 from omnilines.pipelines.options import AdviceOptions, SceneOptions
+from omnilines.posing.photo_poses import CameraByPoints
 from omnilines.records import ImagePoses, Lines
 
 MOST_ARCS = 2500
@@ -56,12 +57,14 @@ class AskedCamera:
     """How far lines move a camera from its calibration."""
 
     name: str
+    by: str
+    """What asks: "lines", or "points" of structure from motion."""
     drift_px: float
     """Root mean square motion of the image, after a common rotation."""
     sigma_px: float
-    """Of which so much is noise, of lines and of the calibration."""
+    """Of which so much is noise, of what asks and of the calibration."""
     least_px: float
-    """The least such motion that lines leave possible; 0 where they bear the camera out."""
+    """The least such motion that is left possible; 0 where the camera is borne out."""
 
 
 def asked_cameras(
@@ -103,11 +106,27 @@ def asked_cameras(
     for k, ((name, model), other, covariance) in enumerate(moved):
         pixels = inner.observed.pixels[inner.observed.camera == k].flatten(0, 1)
         if len(pixels) and model.calibration_basis().shape[1] and bool(covariance.isfinite().all()):
-            estimate = cameras.estimates.get(name)
-            if estimate is not None and estimate.covariance is not None:
-                covariance = covariance + torch.as_tensor(estimate.covariance)
-            asked.append(_asked(name, model, other, covariance, pixels, options.advice))
+            change, angle_rad = (other.parameters - model.parameters).detach(), float(angles_off_axis(model, pixels).max())
+            asked.append(_asked(name, "lines", cameras, change, covariance, angle_rad, options.advice))
     return tuple(asked)
+
+
+def asked_by_points(found: Mapping[str, CameraByPoints], cameras: Calibration, options: SceneOptions) -> tuple[AskedCamera, ...]:
+    """Of every camera that points of structure from motion ask something of; none where cameras were refined."""
+    if "intrinsics" in options.refine:
+        return ()
+    return tuple(
+        _asked(
+            name,
+            "points",
+            cameras,
+            torch.as_tensor(one.change),
+            torch.as_tensor(one.covariance),
+            one.max_angle_rad,
+            options.advice,
+        )
+        for name, one in found.items()
+    )
 
 
 def _determined(adjust: Callable[..., Adjusted], arcs: MatchedArcs, lines: PlueckerLines) -> tuple[MatchedArcs, Adjusted]:
@@ -154,19 +173,24 @@ def _of_photos_together(arcs: MatchedArcs) -> MatchedArcs:
 
 def _asked(
     name: str,
-    model: CameraModel,
-    other: CameraModel,
+    by: str,
+    cameras: Calibration,
+    change: Float[Tensor, " p"],
     covariance: Float[Tensor, "p p"],
-    pixels: Float[Tensor, "n 2"],
+    angle_rad: float,
     options: AdviceOptions,
 ) -> AskedCamera:
+    """Of a change of the parameters with its covariance, to which that of the calibration comes; seen up to an angle."""
+    model, estimate = cameras[name], cameras.estimates.get(name)
+    if estimate is not None and estimate.covariance is not None:
+        covariance = covariance + torch.as_tensor(estimate.covariance)
     basis = model.calibration_basis()
     inverse = torch.linalg.pinv(basis)
     own = inverse @ covariance @ inverse.mT
     # In standard deviations: parameters are of all sizes.
     unit = own.diagonal().clamp_min(1e-300).sqrt()
-    change = inverse @ (other.parameters - model.parameters).detach() / unit
-    grid = supported_grid(model, float(angles_off_axis(model, pixels).max()))
+    moved = inverse @ change / unit
+    grid = supported_grid(model, angle_rad)
     jacobian, valid = projection_jacobian(model, grid, grid)
     moving = jacobian[valid] @ basis * unit
     motion = torch.einsum("nik,nil->kl", moving, moving) / len(moving)
@@ -174,7 +198,8 @@ def _asked(
     limit = options.calibration_noise**2 * float(stats.chi2.isf(options.significance, len(own)))
     return AskedCamera(
         name,
-        drift_px=math.sqrt(max(float(change @ motion @ change), 0.0)),
+        by,
+        drift_px=math.sqrt(max(float(moved @ motion @ moved), 0.0)),
         sigma_px=math.sqrt(max(float((motion * correlation).sum()), 0.0)),
-        least_px=least_drift(-change, pseudo_inverse(correlation), eye, motion, limit),
+        least_px=least_drift(-moved, pseudo_inverse(correlation), eye, motion, limit),
     )

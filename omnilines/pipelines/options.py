@@ -97,12 +97,12 @@ class AdviceOptions(NamedTuple):
     many_by_chance: float = 0.05
     """Share of the lines that are there by chance above which it is spoken of."""
     significance: float = 0.001
-    """Lines leave a camera possible that chance makes more often than this, with `calibration_noise`."""
+    """Lines and points leave a camera possible that chance makes more often than this, with `calibration_noise`."""
     calibration_noise: float = 2.0
-    """Times that what lines ask of a camera is taken to be noisier than is stated: arcs of real edges err alike."""
+    """Times that what lines and points ask of a camera is taken to be noisier than is stated: arcs of real edges err alike."""
     calibration_slack: float = 3.0
-    """Lines contradict the calibration where every possible camera moves the image by more than so many times the slack that was
-    taken for errors of poses and calibration."""
+    """Lines or points contradict the calibration where every possible camera moves the image by more than so many times the slack
+    that was taken for errors of poses and calibration."""
     detector_error_px: float = 0.125
     """In place of that slack where segments were matched by others: an error that all segments of a detector have in common
     (OpenCV's LSD places edges so far to the left and up)."""

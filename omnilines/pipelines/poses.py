@@ -37,7 +37,7 @@ from omnilines.posing.from_tool import poses_from_tool
 from omnilines.posing.instant_names import instants
 from omnilines.posing.joining import LEAST_PHOTOS
 from omnilines.posing.options import PosingOptions
-from omnilines.posing.photo_poses import PhotoPoses
+from omnilines.posing.photo_poses import CameraByPoints, PhotoPoses
 from omnilines.posing.rectangle import PREFIX, parse_rectangle
 from omnilines.posing.sfm import sfm_poses
 from omnilines.posing.tools import TITLES, pose_file_of
@@ -333,7 +333,11 @@ def _read(path: Path, inputs: str) -> PhotoPoses | None:
     advice = tuple(Advice(limit, do) for limit, do in words["advice"])
     mounted = Pose(torch.as_tensor(kept["rig_rotation"]), torch.as_tensor(kept["rig_translation"]))
     rig = {name: mounted[k] for k, name in enumerate(words["rig"])}
-    return PhotoPoses(poses, words["left_out"], tuple(words["notes"]), rig=rig, advice=advice)
+    cameras = {
+        name: CameraByPoints(kept[f"camera_change_{k}"], kept[f"camera_covariance_{k}"], angle)
+        for k, (name, angle) in enumerate(words["camera_angles"].items())
+    }
+    return PhotoPoses(poses, words["left_out"], tuple(words["notes"]), rig=rig, cameras=cameras, advice=advice)
 
 
 def _write(path: Path, inputs: str, found: PhotoPoses) -> None:
@@ -345,6 +349,9 @@ def _write(path: Path, inputs: str, found: PhotoPoses) -> None:
     words["rig"] = tuple(found.rig)
     mounted = Pose.stack(list(found.rig.values())) if found.rig else Pose.identity(0)
     arrays |= {"rig_rotation": mounted.rotation.numpy(), "rig_translation": mounted.translation.numpy()}
+    words["camera_angles"] = {name: one.max_angle_rad for name, one in found.cameras.items()}
+    for k, one in enumerate(found.cameras.values()):
+        arrays |= {f"camera_change_{k}": one.change, f"camera_covariance_{k}": one.covariance}
     if poses.covariance is not None:
         arrays["covariance"] = poses.covariance
     write_kept(path, inputs, {"words": np.array(json.dumps(words)), **arrays})

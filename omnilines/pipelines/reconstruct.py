@@ -25,7 +25,7 @@ from omnilines.options import require_ranges_of_parts
 from omnilines.pipelines.adjust import adjust, check_prior
 from omnilines.pipelines.advice import advice, still_rig, weak_photos
 from omnilines.pipelines.arcs import calibration_of
-from omnilines.pipelines.asked_cameras import asked_cameras
+from omnilines.pipelines.asked_cameras import asked_by_points, asked_cameras
 from omnilines.pipelines.assumed_errors import require_error, with_assumed_errors
 from omnilines.pipelines.better_poses import better_poses
 from omnilines.pipelines.calibration_errors import (
@@ -232,6 +232,7 @@ def _scene(
     supposed = supposed_errors(lines, arcs_of_lines, found.track, poses, cameras, options, posed.points, prior=prior)
     by_poses = errors_by_poses(lines, arcs_of_lines, found.track, poses, options)
     asked = asked_cameras(lines, arcs_of_lines, found.track, poses, cameras, options)
+    asked += asked_by_points(posed.cameras, cameras, options)
     poses = poses_with_calibration_errors(poses, errors)
     progress("looking for parallel lines", 0, 0)
     families = line_families(lines, options.structure.families)

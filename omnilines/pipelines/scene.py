@@ -78,7 +78,8 @@ class Scene:
     advice: tuple[Advice, ...] = ()
     """What photos and stages of matching lose, or which photos segments do not fit, and what to do."""
     asked: tuple[AskedCamera, ...] = ()
-    """What the lines ask of the cameras that they were found with; nothing where cameras were refined."""
+    """What lines, and points of structure from motion, ask of the cameras that they were found with; nothing where cameras were
+    refined."""
     supposed: SupposedErrors | None = None
     """What errors of the calibration would make of uncertainties that lack them, where its file states none."""
     up: tuple[float, float, float] = Z_UP
@@ -89,7 +90,7 @@ class Scene:
 
     @property
     def contradicted(self) -> tuple[AskedCamera, ...]:
-        """Cameras that the lines contradict."""
+        """Cameras that lines or points contradict."""
         own = self.options.advice
         slack_px = own.detector_error_px if self.from_photos is None else self.from_photos.tolerance_px
         return tuple(one for one in self.asked if one.least_px > own.calibration_slack * slack_px)

@@ -5,11 +5,24 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
+from jaxtyping import Float
 
 from camera_models import GeometryError
 from camera_models.pose import Pose
 from camera_models.rotations import nearest_rotation
 from omnilines.records import Advice, ImagePoses, LengthUnit, PosePoints
+
+
+@dataclass(frozen=True, eq=False)
+class CameraByPoints:
+    """What points of structure from motion ask of one camera."""
+
+    change: Float[np.ndarray, " p"]
+    """Of its parameters."""
+    covariance: Float[np.ndarray, "p p"]
+    """Of the change, for residuals that scatter as those of the points do."""
+    max_angle_rad: float
+    """Off axis, up to which it saw them."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +44,8 @@ class PhotoPoses:
     """Of photos whose pose was found from points of known place: with another camera it would be another one."""
     rig: Mapping[str, Pose] = field(default_factory=dict)
     """cam_from_rig of every camera where photos tell others than the calibration: the poses are with these."""
+    cameras: Mapping[str, CameraByPoints] = field(default_factory=dict)
+    """What points ask of the cameras that poses were found with; nothing of cameras without parameters."""
     advice: tuple[Advice, ...] = ()
     """What puts the poses in doubt, and what to do about it."""
 

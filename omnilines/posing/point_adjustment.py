@@ -129,7 +129,8 @@ class PointEngine:
         return Step(trial, float(sum(part[0] for part in parts)), promised + float(sum(part[1] for part in parts)))
 
     def reduce(self, state: PosesAndPoints, damping: float) -> _Reduction | None:
-        """One pass over the points; None where the frames or a point are not determined."""
+        """One pass over the points; None where the frames are not determined, or with damping a point is not. Without, such a
+        point takes no part: one in the direction of a walk has no distance, and says nothing of the poses."""
         pose, at = self._arrays(state)
         solved = PointBlocks(np.empty((self.points, 6)), np.empty((self.points, 3)), np.empty((self.points, 3)))
         free, blocks = len(self.free), len(self.pattern.row)
@@ -139,7 +140,8 @@ class PointEngine:
         def share(k: int, low: int, high: int) -> int:
             return point_kernel.reduce_points(low, high, self.seen, pose, at, damping, window, block_of, sums[k], solved)
 
-        if sum(in_shares(share, self.shares)):
+        singular = sum(in_shares(share, self.shares))
+        if singular and damping > 0.0:
             return None
         total = FrameSums(*(np.sum(arrays, axis=0) for arrays in zip(*sums, strict=True)))
         within = np.arange(6)

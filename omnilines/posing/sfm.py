@@ -17,6 +17,7 @@ from torch import Tensor
 from camera_models import Calibration, CameraModel, GeometryError
 from camera_models.pose import Pose, adjoint
 from omnilines.posing._pycolmap import pycolmap
+from omnilines.posing.cameras_by_points import cameras_by_points
 from omnilines.posing.carried_along import agreeing, carried_share
 from omnilines.posing.colmap_mapper import MapperInput
 from omnilines.posing.feature_matches import matched, pairs_to_compare
@@ -26,8 +27,8 @@ from omnilines.posing.growth import Grown, Matches, grow, matched_again, start_f
 from omnilines.posing.joining import TO_MASK, about_one_place, from_one_place, joined, mapped, others
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
 from omnilines.posing.photo_changes import change_doubts
-from omnilines.posing.photo_poses import PhotoPoses, moved_poses
-from omnilines.posing.point_adjustment import Frames
+from omnilines.posing.photo_poses import CameraByPoints, PhotoPoses, moved_poses
+from omnilines.posing.point_adjustment import Frames, PosesAndPoints
 from omnilines.posing.rig_from_points import photos_alone, rig_doubts, with_rig_of_points
 from omnilines.posing.still_rig import rig_that_stood_still
 from omnilines.progress import ProgressCallback, on_all_cores, one_torch_thread, silent
@@ -130,7 +131,7 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
     found = _result(asked.photos, names, asked.frame_names, features, grown, parts, options.growth)
     if not grown.frames.has_scale:
         changes = change_doubts(grown, asked.calibration, names, options.growth)
-        return replace(found, notes=(*found.notes, *changes))
+        return replace(found, notes=(*found.notes, *changes), cameras=_cameras(asked, grown))
     alone, better = photos_alone(grown, names), None
     if asked.refine_rig:
         wide = partial(
@@ -141,12 +142,18 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
     if better is None:
         doubts = rig_doubts(grown, alone, refined=asked.refine_rig, options=options.growth)
         # A wrong rig makes the same photos contradict each other.
-        doubts = doubts or change_doubts(grown, asked.calibration, names, options.growth)
-        return replace(found, notes=(*found.notes, *doubts))
+        changes = () if doubts else change_doubts(grown, asked.calibration, names, options.growth)
+        # A rig that is off would be made up for by its cameras.
+        return replace(found, notes=(*found.notes, *doubts, *changes), cameras={} if doubts else _cameras(asked, grown))
     found = _result(asked.photos, names, asked.frame_names, features, better.grown, parts, options.growth)
     given = {name: mounted.cam_from_rig for name, mounted in asked.calibration.rig.items()}
     own = {name: better.grown.frames.cam_from_rig[k] for k, name in enumerate(names)}
     return replace(found, notes=(better.note, *found.notes), rig={**given, **own})
+
+
+def _cameras(asked: _Asked, grown: Grown) -> dict[str, CameraByPoints]:
+    known = PosesAndPoints(grown.rig_from_world, grown.points)
+    return cameras_by_points(grown.seen, grown.frames, known, asked.calibration, asked.names, asked.options.resection)
 
 
 def _not_carried(asked: _Asked, found: PhotoPoses, matches: Matches) -> tuple[PhotoPoses, tuple[str, ...]]:
