@@ -131,7 +131,8 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
     found = _result(asked.photos, names, asked.frame_names, features, grown, parts, options.growth)
     if not grown.frames.has_scale:
         changes = change_doubts(grown, asked.calibration, names, options.growth)
-        return replace(found, notes=(*found.notes, *changes), cameras=_cameras(asked, grown))
+        # What differs between photos would be made up for by their camera.
+        return replace(found, notes=(*found.notes, *changes), cameras={} if changes else _cameras(asked, grown))
     alone, better = photos_alone(grown, names), None
     if asked.refine_rig:
         wide = partial(
@@ -143,8 +144,9 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
         doubts = rig_doubts(grown, alone, refined=asked.refine_rig, options=options.growth)
         # A wrong rig makes the same photos contradict each other.
         changes = () if doubts else change_doubts(grown, asked.calibration, names, options.growth)
-        # A rig that is off would be made up for by its cameras.
-        return replace(found, notes=(*found.notes, *doubts, *changes), cameras={} if doubts else _cameras(asked, grown))
+        # A rig that is off would be made up for by its cameras, and so would what differs between photos.
+        cameras = {} if doubts or changes else _cameras(asked, grown)
+        return replace(found, notes=(*found.notes, *doubts, *changes), cameras=cameras)
     found = _result(asked.photos, names, asked.frame_names, features, better.grown, parts, options.growth)
     given = {name: mounted.cam_from_rig for name, mounted in asked.calibration.rig.items()}
     own = {name: better.grown.frames.cam_from_rig[k] for k, name in enumerate(names)}
