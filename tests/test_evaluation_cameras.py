@@ -207,7 +207,7 @@ def test_example_cameras_have_the_field_of_view_asked_for(name: str) -> None:
 
 
 def test_what_a_model_cannot_hold_is_refused() -> None:
-    with pytest.raises(InputError, match="20 to 130 degrees was expected for a pinhole camera, found 190"):
+    with pytest.raises(InputError, match="20 to 130 degrees was expected for model pinhole, found 190"):
         example_camera("pinhole", 190.0, SIZE, 0)
     with pytest.raises(InputError, match="found 300"):
         example_camera("scaramuzza", 300.0, SIZE, 0)

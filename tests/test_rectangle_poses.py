@@ -308,5 +308,5 @@ def test_the_book_experiment_holds_and_the_adjustment_attains_the_noise(tmp_path
     assert rows["by hand, triangulation", "dual"]["rms_px"] > 1.2 * adjusted["rms_px"]
     assert rows["found, adjustment", "sector"]["rms_3d_m"] < 0.002
     assert data["poses"]["found"]["rms_m"] < 0.001 < data["poses"]["by hand"]["rms_m"]
-    with pytest.raises(InputError, match="hand_px above 0"):
+    with pytest.raises(InputError, match="`hand_px` above 0"):
         BookOptions(hand_px=0.0)

@@ -32,6 +32,7 @@ from omnilines.calibration.intervals import (
     stated_variance_px2,
 )
 from omnilines.calibration.model_misfit import ModelMisfit, model_misfit
+from omnilines.calibration.photo_changes import PhotoChange, photo_change
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.result import CameraCalibration
 from omnilines.calibration.screening import smooth_corners
@@ -114,9 +115,11 @@ def camera_result(
     leverage = view_leverage(final.points, state, basis, final.weight, unit)
     misfit = _misfit(final, model, residual)
     notes += () if misfit is None else (misfit.note(f"{model.NAME} model"),)
+    change = _change(final, state, basis, stated) if misfit is None and certain.beyond_noise > 1 else None
     notes += noise_notes(factor, stated, thresholds.noise) + certain.note
+    notes += () if change is None else (change.note,)
     other = None
-    if misfit is None and _of_one_drawing(final, state):
+    if misfit is None and change is None and _of_one_drawing(final, state):
         reach = math.radians(low), math.radians(high)
         other = unmodelled(final.points, state, basis, final.weight, covariance, reach, thresholds.degeneracy.misfit_significance)
         notes += () if other is None else (other.note,)
@@ -143,6 +146,7 @@ def camera_result(
         curved=curved is not None,
         misfit=misfit,
         unmodelled=other,
+        change=change,
     )
 
 
@@ -150,6 +154,14 @@ def _of_one_drawing(final: LastFit, state: CameraAndBoards) -> bool:
     """Whether all views are of one plane board, taken to be as drawn."""
     one = final.corners.boards is None or len(set(final.corners.boards)) == 1
     return one and state.shape.plain and not bool(final.points.board[:, 2].any())
+
+
+def _change(final: LastFit, state: CameraAndBoards, basis: Float[Tensor, "p q"], stated: float | None) -> PhotoChange | None:
+    """Of photos of which the noise of corners is stated."""
+    if stated is None:
+        return None
+    explained, one = final.thresholds.noise.explained, _of_one_drawing(final, state)
+    return photo_change(final.points, state, basis, final.weight, math.sqrt(stated), explained, one)
 
 
 def _misfit(final: LastFit, model: CameraModel, residual: Float[np.ndarray, "n 2"]) -> ModelMisfit | None:

@@ -10,6 +10,7 @@ from camera_models import CameraModel
 from omnilines.calibration.board_shape import BoardShape
 from omnilines.calibration.line_delay import LineDelay
 from omnilines.calibration.model_misfit import ModelMisfit
+from omnilines.calibration.photo_changes import PhotoChange
 from omnilines.calibration.unmodelled import Unmodelled
 from omnilines.records import ViewResult
 
@@ -49,6 +50,8 @@ class CameraCalibration:
     """What residuals have in common in all photos, where the model does not follow the lens."""
     unmodelled: Unmodelled | None = None
     """What neither board nor model hold in all photos alike, where that moves the projection by more than is stated."""
+    change: PhotoChange | None = None
+    """What differs from photo to photo, where that explains why they contradict each other."""
     line_delay: LineDelay | None = None
     """Of a rolling shutter that was recognised or estimated."""
 

@@ -1,7 +1,7 @@
 """One camera from views of a plane board: start from rays, fit robustly, refine by plain least squares, say how certain."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,6 +16,7 @@ from omnilines.calibration.diagnose import angles_off_axis, refuse_parallel_boar
 from omnilines.calibration.finish import LastFit, camera_result
 from omnilines.calibration.flipped import flipped_views
 from omnilines.calibration.initialise import BoardPoints
+from omnilines.calibration.photo_changes import unlike_views
 from omnilines.calibration.redundancy import IN_PIXELS, basis_without, redundant_parameter
 from omnilines.calibration.refine import BoardProblem, CameraAndBoards
 from omnilines.calibration.result import CameraCalibration
@@ -91,9 +92,10 @@ def calibrate_from_fit(
     kept = fit.kept if loss != "none" else torch.ones_like(fit.kept)
     fitting = rows.copy()
     fitting[rows] = kept.numpy()
-    refusals |= views_lost(corners, rows, fitting, thresholds.views.least_corners)
+    lost = views_lost(corners, rows, fitting, thresholds.views.least_corners)
+    refusals |= lost
     if loss != "none":
-        refusals |= _flipped(usable, fit, thresholds)
+        refusals |= _unlike(usable, fit, list(lost), thresholds) | _flipped(usable, fit, thresholds)
     good = [k for k, v in enumerate(usable.views) if v not in refusals]
     require_views(len(good), len(corners.view_names), refusals, thresholds.views.least_views)
     views = [usable.views[k] for k in good]
@@ -132,6 +134,15 @@ def calibrate_from_fit(
         solution, held_terms = without_unsupported_terms(problem, solution, thresholds.held_out)
         notes += held_terms
     return camera_result(final, solution, basis, (problem, minima), notes, every)
+
+
+def _unlike(usable: UsableCorners, fit: RobustFit, lost: Sequence[int], thresholds: CalibrationThresholds) -> dict[int, str]:
+    """Of the views that do not fit, those whose photos were cropped or zoomed, and what is to be said of them."""
+    smooth, _ = smooth_corners(usable.points, thresholds.screening)
+    better, significance = thresholds.doubt.fits_better, thresholds.degeneracy.misfit_significance
+    own = [usable.views.index(view) for view in lost if view in usable.views]
+    found = unlike_views(usable.points.chosen(smooth), fit.state, own, better, significance)
+    return {usable.views[k]: how for k, how in found.items()}
 
 
 def _flipped(usable: UsableCorners, fit: RobustFit, thresholds: CalibrationThresholds) -> dict[int, str]:

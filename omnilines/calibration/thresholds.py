@@ -179,6 +179,8 @@ class NoiseThresholds(NamedTuple):
     """Standard deviation of a radial shift that all corners of a camera have in common (`rig/systematic.py`)."""
     significance: float = 0.01
     """The noise is not as stated where residuals as large as those found have a smaller chance than this."""
+    explained: float = 2.0
+    """What differs from photo to photo is named where it leaves residuals up to this many times the stated noise."""
     well_below_share: float = 0.5
     """Residuals below this share of what is stated are named: the statement is then no better than a bound."""
     large_freedom: int = 30

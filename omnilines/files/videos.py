@@ -46,7 +46,10 @@ class Video(Footage):
             rate, count = source.get(cv2.CAP_PROP_FPS), source.get(cv2.CAP_PROP_FRAME_COUNT)
             read, pixels = source.read()
         if not read:
-            raise InputError(f"The video {file} cannot be decoded: it is damaged, empty or of another format; convert it to MP4.")
+            raise InputError(
+                f"The video {file} cannot be decoded: it is damaged, empty, of another format, or was never closed, as where a "
+                "camera lost power; copy it again, or convert it to MP4."
+            )
         size = (pixels.shape[1], pixels.shape[0])
         # Containers of streams state no length, or a nonsense rate.
         return Video(file, rate if 1.0 <= rate <= 1000.0 else 30.0, int(count) if 0 < count < 1e8 else 0, size)

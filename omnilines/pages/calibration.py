@@ -1,6 +1,7 @@
 """What a calibration tells: figures for tables and `--json`, and the sections of its report."""
 
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +132,7 @@ def calibration_data(calibrated: CalibrationResult) -> dict[str, Any]:
         "curved": result.curved,
         "misfit": None if result.misfit is None else misfit_data(result.misfit),
         "unmodelled": None if result.unmodelled is None else unmodelled_data(result.unmodelled),
+        "change": None if result.change is None else asdict(result.change),
         "rms_px_per_axis": result.rms_px_per_axis,
         "rms_px_per_point": result.rms_px_per_point,
         "min_angle_deg": result.min_angle_deg,

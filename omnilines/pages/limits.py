@@ -40,9 +40,12 @@ def named(names: Sequence[str]) -> str:
 
 
 def board_advice(fit: CameraCalibration, views: NextViews | None, corners: Corners, *, compared: bool) -> tuple[Advice, ...]:
-    """Of a camera that was calibrated with a board: the places without corners, the noise of corners, photos that stand out, and
-    photos without use. `compared`: the model is the best of several."""
+    """Of a camera that was calibrated with a board: what changes between photos, places without corners, the noise of
+    corners, photos that stand out, and photos without use. `compared`: the model is the best of several."""
     unused = unused_advice([v for v in fit.views if not v.used], len(fit.views))
+    if fit.change is not None:
+        # What else is said of the camera is that of one which no photo has.
+        return (Advice(f"{fit.change.limit}.", fit.change.remedy), *unused)
     if fit.misfit is not None:
         # Where to hold the board next, and the noise of corners, are figures of a camera that is not this one.
         return (_of_misfit(f"{fit.model.NAME} model", fit.misfit, compared), *unused)

@@ -107,6 +107,13 @@ class GrowthOptions(NamedTuple):
     residuals to tell a wrong pose."""
     rig_doubt: float = 1.1
     """Times as much as with each photo free that points scatter with the rig as given, from which on the rig is doubted."""
+    change_doubt: float = 1.1
+    """Times as much as with terms of each photo (rolling shutter, focal length, crop) that points scatter without, from which on
+    these are named."""
+    change_significance: float = 1e-3
+    """And the largest chance of that (F test)."""
+    most_changing: int = 60
+    """Photos looked at for that, the first."""
     rig_rounds: int = 10
     """Times at most that a doubted rig is found anew from points, and photos are matched again with it, where it is refined."""
 

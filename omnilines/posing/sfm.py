@@ -26,7 +26,8 @@ from omnilines.posing.from_rig import cam_from_rig_of
 from omnilines.posing.growth import Grown, Matches, grow, matched_again, start_from
 from omnilines.posing.joining import TO_MASK, about_one_place, from_one_place, joined, mapped, others
 from omnilines.posing.options import FeatureOptions, GrowthOptions, PosingOptions
-from omnilines.posing.photo_poses import CameraByPoints, PhotoPoses, moved_poses
+from omnilines.posing.photo_changes import change_doubts
+from omnilines.posing.photo_poses import PhotoPoses, moved_poses
 from omnilines.posing.point_adjustment import Frames, PosesAndPoints
 from omnilines.posing.rig_from_points import photos_alone, rig_doubts, with_rig_of_points
 from omnilines.posing.still_rig import rig_that_stood_still
@@ -129,7 +130,7 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
     grown = again(start_from(Frames(torch.tensor(asked.given.frame), rig), parts[0]))
     found = _result(asked.photos, names, asked.frame_names, features, grown, parts, options.growth)
     if not grown.frames.has_scale:
-        return replace(found, cameras=_cameras(asked, grown))
+        return _with_doubts(asked, grown, found, ())
     alone, better = photos_alone(grown, names), None
     if asked.refine_rig:
         wide = partial(
@@ -138,18 +139,21 @@ def _grown(asked: _Asked, parts: list[dict[int, Pose]], matches: Matches) -> Pho
         )  # fmt: skip
         better = with_rig_of_points(grown, alone, names, wide, again, options.growth)
     if better is None:
-        doubts = rig_doubts(grown, alone, refined=asked.refine_rig, options=options.growth)
-        # A rig that is off would be made up for by its cameras.
-        return replace(found, notes=(*found.notes, *doubts), cameras={} if doubts else _cameras(asked, grown))
+        return _with_doubts(asked, grown, found, rig_doubts(grown, alone, refined=asked.refine_rig, options=options.growth))
     found = _result(asked.photos, names, asked.frame_names, features, better.grown, parts, options.growth)
     given = {name: mounted.cam_from_rig for name, mounted in asked.calibration.rig.items()}
     own = {name: better.grown.frames.cam_from_rig[k] for k, name in enumerate(names)}
     return replace(found, notes=(better.note, *found.notes), rig={**given, **own})
 
 
-def _cameras(asked: _Asked, grown: Grown) -> dict[str, CameraByPoints]:
-    known = PosesAndPoints(grown.rig_from_world, grown.points)
-    return cameras_by_points(grown.seen, grown.frames, known, asked.calibration, asked.names, asked.options.resection)
+def _with_doubts(asked: _Asked, grown: Grown, found: PhotoPoses, of_rig: tuple[str, ...]) -> PhotoPoses:
+    """What photos contradict: the rig, each other, or else their cameras, which would make up for both."""
+    known, growth = PosesAndPoints(grown.rig_from_world, grown.points), asked.options.growth
+    doubts = of_rig or change_doubts(grown, asked.calibration, asked.names, growth)
+    if doubts:
+        return replace(found, notes=(*found.notes, *doubts))
+    cameras = cameras_by_points(grown.seen, grown.frames, known, asked.calibration, asked.names, asked.options.resection)
+    return replace(found, cameras=cameras)
 
 
 def _not_carried(asked: _Asked, found: PhotoPoses, matches: Matches) -> tuple[PhotoPoses, tuple[str, ...]]:

@@ -63,8 +63,8 @@ class BookOptions:
         """Refuse what determines nothing."""
         if not (self.hand_px > 0 and self.lines >= LEAST_LINES):
             raise InputError(
-                f"A hand_px above 0 and {LEAST_LINES} lines or more were expected, found {self.hand_px:g} and {self.lines}; "
-                "correct the options."
+                f"`hand_px` above 0 and `lines` of {LEAST_LINES} or more were expected, found {self.hand_px:g} and {self.lines}; "
+                "give others."
             )
 
 

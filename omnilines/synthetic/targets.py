@@ -72,7 +72,7 @@ def _checked_fov(kind: type[CameraModel], fov_deg: float) -> float:
     if not NARROWEST_FOV_DEG <= fov_deg <= widest:
         wider = "" if fov_deg <= widest or widest == WIDEST_FOV_DEG else " or take --model opencv-fisheye"
         raise InputError(
-            f"A field of view of {NARROWEST_FOV_DEG:g} to {widest:g} degrees was expected for a {kind.NAME} camera, found "
+            f"A field of view of {NARROWEST_FOV_DEG:g} to {widest:g} degrees was expected for model {kind.NAME}, found "
             f"{fov_deg:g}; give one in this range{wider}."
         )
     return fov_deg
