@@ -16,7 +16,8 @@ from omnilines.posing import colmap_mapper
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched
 from omnilines.posing.options import MapperOptions, PosingOptions
-from omnilines.posing.rotations import agreeing_pairs
+from omnilines.posing.rotations import agreeing_pairs, averaged_rotations, fits_turned
+from omnilines.posing.settled import Rays, least_joined, settled
 from omnilines.progress import one_torch_thread
 from omnilines.scenes import scene_camera
 
@@ -42,7 +43,7 @@ def test_pairs_that_contradict_the_others_are_dropped(seed):
     for i, j in wrong:
         turn = Rotation.from_rotvec(np.radians(rng.uniform(20, 180)) * np.array([0.0, 1.0, 0.0]))
         pairs[i, j] = ((turn * turned[j] * turned[i].inv()).as_matrix(), int(rng.integers(15, 25)))
-    kept = agreeing_pairs(pairs, 12)
+    kept = agreeing_pairs(pairs, averaged_rotations(pairs, 12))
     assert set(kept) == set(ring)
 
 
@@ -50,8 +51,8 @@ def test_parts_without_a_pair_between_them_and_no_pairs_at_all():
     rng = np.random.default_rng(0)
     turned = Rotation.random(7, random_state=1)
     pairs = of_pairs(turned, [(0, 1), (1, 2), (0, 2), (4, 5), (5, 6), (4, 6)], rng)
-    assert set(agreeing_pairs(pairs, 7)) == set(pairs)
-    assert agreeing_pairs({}, 3) == []
+    assert set(agreeing_pairs(pairs, averaged_rotations(pairs, 7))) == set(pairs)
+    assert agreeing_pairs({}, averaged_rotations({}, 3)) == []
 
 
 def six_panoramas() -> tuple[MapperInput, Pose]:
@@ -73,6 +74,41 @@ def test_photos_that_are_settled_are_mapped_once(tmp_path):
     for k in range(1, 6):
         turn = part[k].rotation @ part[0].rotation.mT @ truth[0].rotation @ truth[k].rotation.mT
         assert Rotation.from_matrix(turn.numpy()).magnitude() < 5e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_matches_of_one_small_plane_fit_several_rotations(seed):
+    """They fit that of the photos, and one 4 degrees off, as may be told of them; matches of chance do not."""
+    rng = np.random.default_rng(seed)
+    limit_rad = 4e-3
+    points = np.stack([*rng.uniform(-0.4, 0.4, (2, 60)), np.full(60, 4.0)], 1)
+    true = Rotation.from_rotvec([0.05, 0.4, 0.02])
+
+    def seen(at: np.ndarray) -> np.ndarray:
+        noisy = at / np.linalg.norm(at, axis=1)[:, None] + rng.normal(0.0, 0.1 * limit_rad, at.shape)
+        return noisy / np.linalg.norm(noisy, axis=1)[:, None]
+
+    a, b = seen(points), seen(true.apply(points - [1.0, 0.2, 0.0]))
+    near = Rotation.from_rotvec(np.radians(4.0) * np.array([0.0, 1.0, 0.0])) * true
+    for turned in (true, near):
+        assert fits_turned(a, b, turned.as_matrix(), limit_rad)
+    other = seen(true.apply(points[rng.permutation(60)] - [1.0, 0.2, 0.0]))
+    assert not fits_turned(a, other, true.as_matrix(), limit_rad)
+
+
+def test_a_group_of_photos_has_to_explain_its_matches_with_the_others():
+    """Of two groups of three photos nearly all is explained inside; what joins them counts by itself."""
+    within, between = [(0, 1), (1, 2), (3, 4), (4, 5)], {(0, 5): 41, (1, 3): 0, (2, 3): 59}
+    nothing = torch.zeros(100, 3).double()
+    rays = {pair: Rays(nothing, nothing, 1e-3, True, True) for pair in (*within, *between)}
+    rays[0, 4] = Rays(nothing, nothing, 1e-3, False, False)
+    explained = dict.fromkeys(within, 98)
+    assert least_joined(6, {**explained, **between}, rays) == pytest.approx(100 / 300)
+    assert least_joined(6, {**explained, **dict.fromkeys(between, 95)}, rays) == pytest.approx(0.95)
+    # Each photo alone explains most of its matches.
+    of_first = (98 + 41) / 200
+    assert not settled(6, {**explained, **between}, rays, of_first, 1.0)
+    assert settled(6, {**explained, **dict.fromkeys(between, 95)}, rays, 0.8, 1.0)
 
 
 @pytest.mark.slow

@@ -23,11 +23,11 @@ from torch import Tensor
 from camera_models import InputError
 from camera_models.pose import Pose
 from omnilines.posing._pycolmap import pycolmap
-from omnilines.posing.bearing_residual import near_epipolar_arc
 from omnilines.posing.features import Features
 from omnilines.posing.from_colmap import pose_of
 from omnilines.posing.options import MapperOptions, PosingOptions
-from omnilines.posing.rotations import agreeing_pairs
+from omnilines.posing.rotations import agreeing_pairs, averaged_rotations, fits_turned
+from omnilines.posing.settled import Rays, explained_matches, settled
 from omnilines.progress import ProgressCallback, interruptible, on_all_cores, silent
 
 
@@ -55,9 +55,9 @@ def map_photos(
     """cam_from_world of photos by number, one mapping for each part that COLMAP could join, the largest first.
 
     `folder` holds COLMAP's database and models; what an earlier run left in it there is replaced. One thread and a fixed seed
-    make the result repeatable. Photos are added in several ways (`resection_px`), with all pairs and without those whose rotation
-    contradicts the others (rotations.py), and then with other draws (`more_draws`), until one has settled all of them; else that
-    is taken whose largest part explains most matches.
+    make the result repeatable. Photos are added in several ways (`resection_px`), with all pairs, without those that contradict
+    the rotations of the others, without all that have another one (rotations.py), and then with other draws (`more_draws`), until
+    one has settled all of them; else that is taken whose largest part explains most matches.
     """
     limits, inliers = options.mapper.resection_px, options.mapper.resection_inliers
     if not limits or len(limits) != len(inliers):
@@ -70,28 +70,30 @@ def map_photos(
     path = folder / "database.db"
     with module.Database.open(str(path)) as database:
         rays = _write(module, database, given, seed, progress, options)
-    contradicting = [pair for pair, one in rays.items() if not one.agrees]
+    contradicting = [pair for pair, one in rays.items() if not one.fits]
+    doubtful = [pair for pair, one in rays.items() if one.fits and not one.agrees]
+    without = [pairs for pairs in (contradicting, doubtful) if pairs]
     best: list[dict[int, Pose]] = []
     most = -1
     ways = [(seed, error_px, least) for error_px, least in zip(limits, inliers, strict=True)]
     more = [(seed + 1 + draw, *ways[0][1:]) for draw in range(options.mapper.more_draws)]
-    regular = len(ways) * (2 if contradicting else 1)
-    for number, (draw, error_px, inliers_of_photo) in enumerate([*(ways * 2)[:regular], *more]):
-        if contradicting and number == len(ways):
+    regular = len(ways) * (1 + len(without))
+    for number, (draw, error_px, inliers_of_photo) in enumerate([*ways * (1 + len(without)), *more]):
+        if 0 < number < regular and number % len(ways) == 0:
             with module.Database.open(str(path)) as database:
-                for i, j in contradicting:
+                for i, j in without[number // len(ways) - 1]:
                     database.delete_two_view_geometry(i + 1, j + 1)
                     database.delete_matches(i + 1, j + 1)
         models = folder / f"models{number}"
         models.mkdir()
         own = _options(module, draw, error_px, inliers_of_photo, options.mapper.min_first_pair_inliers)
         parts = _mapped(module, path, models, own, len(given.features), progress)
-        explained = _explained(parts[0], rays) if parts else {}
+        explained = explained_matches(parts[0], rays) if parts else {}
         if sum(explained.values()) > most:
             best, most = parts, sum(explained.values())
         # What agrees with nothing is placed by no draw.
         least = 1.0 if number + 1 < regular else 0.0
-        if _settled(len(given.features), explained, rays, options.mapper.settled_share, least):
+        if settled(len(given.features), explained, rays, options.mapper.settled_share, least):
             break
     return best
 
@@ -121,33 +123,6 @@ def _mapped(
     return sorted(parts, key=len, reverse=True)
 
 
-def _explained(part: Mapping[int, Pose], rays: Mapping[tuple[int, int], "_Rays"]) -> dict[tuple[int, int], int]:
-    """Of each pair of photos that are placed, how many verified matches meet in front of both."""
-    counts = {}
-    for (i, j), pair in rays.items():
-        if i in part and j in part:
-            near = near_epipolar_arc(pair.a, pair.b, part[j] @ part[i].inverse(), pair.limit_rad)
-            counts[i, j] = int(near.sum())
-    return counts
-
-
-def _settled(
-    photos: int,
-    explained: Mapping[tuple[int, int], int],
-    rays: Mapping[tuple[int, int], "_Rays"],
-    least_share: float,
-    least: float,
-) -> bool:
-    """Whether each photo is placed and explains so large a share of its matches, in pairs whose rotations agree, and at least so
-    many, that no other way of adding photos would place it elsewhere: at a wrong place only few meet."""
-    own, all_own = np.zeros(photos), np.zeros(photos)
-    for pair, one in rays.items():
-        if one.agrees:
-            own[list(pair)] += explained.get(pair, 0)
-            all_own[list(pair)] += len(one.a)
-    return bool((own >= np.maximum(least_share * all_own, least)).all())
-
-
 def _options(module: Any, seed: int, error_px: float, least: int, first_pair: int) -> Any:
     options = module.IncrementalPipelineOptions()
     options.num_threads, options.random_seed = 1, seed
@@ -161,7 +136,7 @@ def _options(module: Any, seed: int, error_px: float, least: int, first_pair: in
 
 def _write(
     module: Any, database: Any, given: MapperInput, seed: int, progress: ProgressCallback, options: PosingOptions
-) -> dict[tuple[int, int], "_Rays"]:
+) -> dict[tuple[int, int], Rays]:
     """All that the mapper needs; returns the matches of the pairs that were verified."""
     cameras, its = {}, options.mapper
     for number in sorted(set(given.camera)):
@@ -192,25 +167,18 @@ def _write(
     every = on_all_cores(verify, list(given.matches), "checking pairs of photos", progress)
     verified = {pair: found for pair, found in zip(given.matches, every, strict=True) if found[1] is not None}
     relative = {pair: (one.cam2_from_cam1.rotation.matrix(), len(one.inlier_matches)) for pair, (_, one) in verified.items()}
-    rays, agreeing = {}, set(agreeing_pairs(relative, len(images), its))
+    turned = averaged_rotations(relative, len(images), its)
+    rays, agreeing = {}, set(agreeing_pairs(relative, turned, its))
     for (i, j), (matches, found) in verified.items():
         database.write_matches(i + 1, j + 1, matches)
         database.write_two_view_geometry(i + 1, j + 1, found)
         agree = np.asarray(found.inlier_matches)
         a, b = (torch.as_tensor(seen[k].bearings[agree[:, side]]) for side, k in enumerate((i, j)))
-        rays[i, j] = _Rays(a, b, its.epipolar_px * 2 * math.pi / seen[j].camera.width, (i, j) in agreeing)
+        limit_rad = its.epipolar_px * 2 * math.pi / seen[j].camera.width
+        agrees = (i, j) in agreeing
+        fits = agrees or fits_turned(a.numpy(), b.numpy(), turned[j] @ turned[i].T, limit_rad, its)
+        rays[i, j] = Rays(a, b, limit_rad, agrees, fits)
     return rays
-
-
-@dataclass(frozen=True)
-class _Rays:
-    """The matches of a verified pair."""
-
-    a: Float[Tensor, "m 3"]
-    b: Float[Tensor, "m 3"]
-    limit_rad: float
-    agrees: bool
-    """Whether its rotation is that of the others."""
 
 
 @dataclass(frozen=True)

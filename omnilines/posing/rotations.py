@@ -6,14 +6,19 @@ pairs that contradict the others count no more (A. Chatterjee, V. M. Govindu, Ef
 ICCV 2013).
 """
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int
+from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 from scipy.spatial.transform import Rotation
 
+from camera_models.pose import Pose
+from omnilines.posing.bearing_residual import near_epipolar_arc
 from omnilines.posing.options import MapperOptions
 
 _ROUNDS = 30
@@ -22,10 +27,10 @@ Pairs = Mapping[tuple[int, int], tuple[Float[np.ndarray, "3 3"], int]]
 """Of a pair (i, j) of photos j_from_i and the matches that agree with it."""
 
 
-def agreeing_pairs(pairs: Pairs, photos: int, options: MapperOptions = MapperOptions()) -> list[tuple[int, int]]:
-    """The pairs whose relative rotation is that of the averaged rotations of their photos."""
+def averaged_rotations(pairs: Pairs, photos: int, options: MapperOptions = MapperOptions()) -> Float[np.ndarray, "photos 3 3"]:
+    """cam_from_world of photos that most pairs agree with; parts that no pair joins have a world each."""
     if not pairs:
-        return []
+        return np.tile(np.eye(3), (photos, 1, 1))
     ends = np.array(list(pairs))
     relative = Rotation.from_matrix(np.stack([matrix for matrix, _ in pairs.values()]))
     strength = np.array([count for _, count in pairs.values()], dtype=float)
@@ -37,8 +42,53 @@ def agreeing_pairs(pairs: Pairs, photos: int, options: MapperOptions = MapperOpt
         turned = turned * Rotation.from_rotvec(step)
         if np.abs(step).max() < 1e-6:
             break
-    off = np.linalg.norm(_error(ends, relative, turned), axis=1)
+    found: Float[np.ndarray, "photos 3 3"] = turned.as_matrix()
+    return found
+
+
+def agreeing_pairs(
+    pairs: Pairs, turned: Float[np.ndarray, "photos 3 3"], options: MapperOptions = MapperOptions()
+) -> list[tuple[int, int]]:
+    """The pairs whose relative rotation is that of their photos."""
+    if not pairs:
+        return []
+    relative = Rotation.from_matrix(np.stack([matrix for matrix, _ in pairs.values()]))
+    off = np.linalg.norm(_error(np.array(list(pairs)), relative, Rotation.from_matrix(turned)), axis=1)
     return [pair for pair, far in zip(pairs, off.tolist(), strict=True) if far < options.max_rotation_rad]
+
+
+def fits_turned(
+    a: Float[np.ndarray, "m 3"],
+    b: Float[np.ndarray, "m 3"],
+    turned: Float[np.ndarray, "3 3"],
+    limit_rad: float,
+    options: MapperOptions = MapperOptions(),
+) -> bool:
+    """Whether matches of two photos, which have another rotation j_from_i of their own, agree with this one as well, but for a
+    little: things in one plane, or in a small part of the image, leave several possible."""
+
+    rays = torch.as_tensor(a), torch.as_tensor(b)
+    bound = np.append(np.full(3, options.max_rotation_rad / math.sqrt(3.0)), np.full(3, np.inf))
+
+    def posed(x: Float[np.ndarray, " 6"]) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:
+        return Rotation.from_rotvec(x[:3]).as_matrix() @ turned, x[3:] / np.linalg.norm(x[3:])
+
+    def off_circle(x: Float[np.ndarray, " 6"]) -> Float[np.ndarray, " m"]:
+        """Angles of b from the planes of a and the translation."""
+        rotation, translation = posed(x)
+        normal = np.cross(a @ rotation.T, translation)
+        away: Float[np.ndarray, " m"] = (normal * b).sum(1) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+        return away / limit_rad
+
+    def agreeing(translation: Float[np.ndarray, "3"]) -> int:
+        """Matches, at best, from this start."""
+        start = np.append(np.zeros(3), translation)
+        rotation, found = map(torch.as_tensor, posed(least_squares(off_circle, start, loss="cauchy", bounds=(-bound, bound)).x))
+        return max(int(near_epipolar_arc(*rays, Pose(rotation, way * found), limit_rad).sum()) for way in (1.0, -1.0))
+
+    normal = np.cross(a @ turned.T, b)
+    least, second, _ = np.linalg.eigh(normal.T @ normal)[1].T
+    return any(agreeing(start) >= options.settled_share * len(a) for start in (least, second))
 
 
 def _error(ends: Int[np.ndarray, "n 2"], relative: Rotation, turned: Rotation) -> Float[np.ndarray, "n 3"]:
