@@ -16,7 +16,7 @@ from omnilines.posing import colmap_mapper
 from omnilines.posing.colmap_mapper import MapperInput, map_photos
 from omnilines.posing.feature_matches import matched
 from omnilines.posing.options import MapperOptions, PosingOptions
-from omnilines.posing.rotations import agreeing_pairs, averaged_rotations, fits_turned
+from omnilines.posing.rotations import agreeing_pairs, averaged_rotations, fits_rotation
 from omnilines.posing.settled import Rays, least_joined, settled
 from omnilines.progress import one_torch_thread
 from omnilines.scenes import scene_camera
@@ -91,9 +91,9 @@ def test_matches_of_one_small_plane_fit_several_rotations(seed):
     a, b = seen(points), seen(true.apply(points - [1.0, 0.2, 0.0]))
     near = Rotation.from_rotvec(np.radians(4.0) * np.array([0.0, 1.0, 0.0])) * true
     for turned in (true, near):
-        assert fits_turned(a, b, turned.as_matrix(), limit_rad)
+        assert fits_rotation(a, b, turned.as_matrix(), limit_rad)
     other = seen(true.apply(points[rng.permutation(60)] - [1.0, 0.2, 0.0]))
-    assert not fits_turned(a, other, true.as_matrix(), limit_rad)
+    assert not fits_rotation(a, other, true.as_matrix(), limit_rad)
 
 
 def test_a_group_of_photos_has_to_explain_its_matches_with_the_others():

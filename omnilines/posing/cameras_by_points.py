@@ -19,9 +19,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from camera_models import CameraModel
-from camera_models.pose import hat
+from camera_models.pose_fit import by_pose
 from omnilines.least_squares.schur import LEAST_PIVOT
 from omnilines.posing.bearing_residual import placed
+from omnilines.posing.features import off_axis_rad
 from omnilines.posing.options import ResectionOptions
 from omnilines.posing.photo_poses import CameraByPoints
 from omnilines.posing.point_adjustment import Frames, PointEngine, PosesAndPoints, adjust_points
@@ -153,7 +154,7 @@ def _reduced(
     of_poses = engine.reduce(known, 0.0)
     if of_poses is None:
         return None
-    residual, by_pose, by_point, by_cameras = _derivatives(seen, image, frames, known, cameras, columns)
+    residual, by_frame, by_point, by_cameras = _derivatives(seen, image, frames, known, cameras, columns)
     right = torch.cat([by_cameras, residual[..., None]], -1)
     own = _summed(seen.point, by_point.mT @ by_point, len(known.points))
     values = torch.linalg.eigvalsh(own)
@@ -165,7 +166,7 @@ def _reduced(
     rest = torch.where(told[seen.point][:, None, None], rest, 0.0)
     place = torch.full((int(frames.of_photo.max()) + 1,), -1)
     place[torch.from_numpy(engine.free)] = torch.arange(len(engine.free))
-    of_frames = _summed(place[frames.of_photo[seen.photo]], by_pose.mT @ rest, len(engine.free)).flatten(0, 1).numpy()
+    of_frames = _summed(place[frames.of_photo[seen.photo]], by_frame.mT @ rest, len(engine.free)).flatten(0, 1).numpy()
     whole = (by_cameras.mT @ rest).sum(0).numpy() - of_frames[:, :-1].T @ of_poses.system.solve(of_frames)
     return _Reduced(whole[:, :-1], whole[:, -1], float(residual.square().sum()), len(engine.free))
 
@@ -193,8 +194,7 @@ def _derivatives(
             by_cameras[rows, :, columns[name].own] = weight[..., None] * (by_parameter @ columns[name].basis)
     cam_from_rig = frames.cam_from_rig[seen.photo]
     in_rig, by_rig = placed(cam_from_rig.inverse(), at), by_place @ cam_from_rig.rotation
-    by_pose = torch.cat([-by_rig @ hat(in_rig), by_rig], -1)
-    return residual, by_pose, by_place @ cam_from_world.rotation, by_cameras
+    return residual, by_pose(by_rig, in_rig), by_place @ cam_from_world.rotation, by_cameras
 
 
 def _through(seen: Observations, image: _Imaged, cameras: Mapping[str, CameraModel]) -> Observations:
@@ -228,7 +228,5 @@ def _of_camera(
     seen: Observations,
 ) -> CameraByPoints:
     basis, own = columns.basis.numpy(), columns.own
-    axis, _ = model.unproject(model.centre_px)
-    bearings = seen.bearings[columns.rows]
-    angle = torch.atan2(torch.linalg.cross(bearings, axis.expand_as(bearings)).norm(dim=-1), bearings @ axis)
-    return CameraByPoints(basis @ step[own], basis @ covariance[own, own] @ basis.T, float(angle.max()))
+    angle_rad = off_axis_rad(model, seen.bearings[columns.rows])
+    return CameraByPoints(columns.of(step).numpy(), basis @ covariance[own, own] @ basis.T, float(angle_rad.max()))

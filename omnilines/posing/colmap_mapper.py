@@ -11,7 +11,7 @@ import itertools
 import math
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from omnilines.posing._pycolmap import pycolmap
 from omnilines.posing.features import Features
 from omnilines.posing.from_colmap import pose_of
 from omnilines.posing.options import MapperOptions, PosingOptions
-from omnilines.posing.rotations import agreeing_pairs, averaged_rotations, fits_turned
+from omnilines.posing.rotations import agreeing_pairs, averaged_rotations, fits_rotation
 from omnilines.posing.settled import Rays, explained_matches, settled
 from omnilines.progress import ProgressCallback, interruptible, on_all_cores, silent
 
@@ -70,32 +70,51 @@ def map_photos(
     path = folder / "database.db"
     with module.Database.open(str(path)) as database:
         rays = _write(module, database, given, seed, progress, options)
-    contradicting = [pair for pair, one in rays.items() if not one.fits]
-    doubtful = [pair for pair, one in rays.items() if one.fits and not one.agrees]
-    without = [pairs for pairs in (contradicting, doubtful) if pairs]
     best: list[dict[int, Pose]] = []
     most = -1
-    ways = [(seed, error_px, least) for error_px, least in zip(limits, inliers, strict=True)]
-    more = [(seed + 1 + draw, *ways[0][1:]) for draw in range(options.mapper.more_draws)]
-    regular = len(ways) * (1 + len(without))
-    for number, (draw, error_px, inliers_of_photo) in enumerate([*ways * (1 + len(without)), *more]):
-        if 0 < number < regular and number % len(ways) == 0:
-            with module.Database.open(str(path)) as database:
-                for i, j in without[number // len(ways) - 1]:
-                    database.delete_two_view_geometry(i + 1, j + 1)
-                    database.delete_matches(i + 1, j + 1)
+    for number, one in enumerate(_ways(rays, seed, options.mapper)):
+        with module.Database.open(str(path)) as database:
+            for i, j in one.dropped:
+                database.delete_two_view_geometry(i + 1, j + 1)
+                database.delete_matches(i + 1, j + 1)
         models = folder / f"models{number}"
         models.mkdir()
-        own = _options(module, draw, error_px, inliers_of_photo, options.mapper.min_first_pair_inliers)
+        own = _options(module, one, options.mapper.min_first_pair_inliers)
         parts = _mapped(module, path, models, own, len(given.features), progress)
         explained = explained_matches(parts[0], rays) if parts else {}
         if sum(explained.values()) > most:
             best, most = parts, sum(explained.values())
-        # What agrees with nothing is placed by no draw.
-        least = 1.0 if number + 1 < regular else 0.0
-        if settled(len(given.features), explained, rays, options.mapper.settled_share, least):
+        if settled(len(given.features), explained, rays, options.mapper.settled_share, one.least):
             break
     return best
+
+
+@dataclass(frozen=True)
+class _Way:
+    """A way of adding photos."""
+
+    dropped: Sequence[tuple[int, int]]
+    """Pairs that are left out from here on."""
+    seed: int
+    error_px: float
+    """Largest error of a photo that is added."""
+    inliers: int
+    """And its least inliers."""
+    least: float
+    """Matches that each photo has to explain: what agrees with nothing is placed by no draw, and none is made for it."""
+
+
+def _ways(rays: Mapping[tuple[int, int], Rays], seed: int, its: MapperOptions) -> list[_Way]:
+    """All, in the order in which they are tried."""
+    contradicting = [pair for pair, one in rays.items() if not one.fits]
+    turned = [pair for pair, one in rays.items() if one.fits and not one.agrees]
+    limits = list(zip(its.resection_px, its.resection_inliers, strict=True))
+    ways = []
+    for left_out in ([], *(pairs for pairs in (contradicting, turned) if pairs)):
+        first, *others = (_Way([], seed, *limit, 1.0) for limit in limits)
+        ways += [replace(first, dropped=left_out), *others]
+    ways[-1] = replace(ways[-1], least=0.0)
+    return [*ways, *(_Way([], seed + 1 + draw, *limits[0], 0.0) for draw in range(its.more_draws))]
 
 
 def _mapped(
@@ -123,14 +142,14 @@ def _mapped(
     return sorted(parts, key=len, reverse=True)
 
 
-def _options(module: Any, seed: int, error_px: float, least: int, first_pair: int) -> Any:
+def _options(module: Any, way: _Way, first_pair: int) -> Any:
     options = module.IncrementalPipelineOptions()
-    options.num_threads, options.random_seed = 1, seed
+    options.num_threads, options.random_seed = 1, way.seed
     options.ba_refine_focal_length = options.ba_refine_principal_point = options.ba_refine_extra_params = False
     options.ba_refine_sensor_from_rig = options.extract_colors = options.ba_use_gpu = False
     options.min_model_size = 3
     options.mapper.init_min_num_inliers = first_pair
-    options.mapper.abs_pose_max_error, options.mapper.abs_pose_min_num_inliers = error_px, least
+    options.mapper.abs_pose_max_error, options.mapper.abs_pose_min_num_inliers = way.error_px, way.inliers
     return options
 
 
@@ -168,16 +187,21 @@ def _write(
     verified = {pair: found for pair, found in zip(given.matches, every, strict=True) if found[1] is not None}
     relative = {pair: (one.cam2_from_cam1.rotation.matrix(), len(one.inlier_matches)) for pair, (_, one) in verified.items()}
     turned = averaged_rotations(relative, len(images), its)
-    rays, agreeing = {}, set(agreeing_pairs(relative, turned, its))
+    agreeing, rays = set(agreeing_pairs(relative, turned, its)), {}
     for (i, j), (matches, found) in verified.items():
         database.write_matches(i + 1, j + 1, matches)
         database.write_two_view_geometry(i + 1, j + 1, found)
-        agree = np.asarray(found.inlier_matches)
+        agree, agrees = np.asarray(found.inlier_matches), (i, j) in agreeing
         a, b = (torch.as_tensor(seen[k].bearings[agree[:, side]]) for side, k in enumerate((i, j)))
-        limit_rad = its.epipolar_px * 2 * math.pi / seen[j].camera.width
-        agrees = (i, j) in agreeing
-        fits = agrees or fits_turned(a.numpy(), b.numpy(), turned[j] @ turned[i].T, limit_rad, its)
-        rays[i, j] = Rays(a, b, limit_rad, agrees, fits)
+        rays[i, j] = Rays(a, b, its.epipolar_px * 2 * math.pi / seen[j].camera.width, agrees, agrees)
+
+    def fits(pair: tuple[int, int]) -> bool:
+        (i, j), one = pair, rays[pair]
+        return fits_rotation(one.a.numpy(), one.b.numpy(), turned[j] @ turned[i].T, one.limit_rad, its)
+
+    doubted = [pair for pair, one in rays.items() if not one.agrees]
+    for pair, fit in zip(doubted, on_all_cores(fits, doubted, "checking rotations of photos", progress), strict=True):
+        rays[pair] = replace(rays[pair], fits=fit)
     return rays
 
 

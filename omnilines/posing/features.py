@@ -127,6 +127,12 @@ def _supported_rad(estimate: CameraEstimate | None, options: FeatureOptions) -> 
     return math.radians(estimate.min_angle_deg), most
 
 
+def off_axis_rad(model: CameraModel, bearings: Float[torch.Tensor, "n 3"]) -> Float[torch.Tensor, " n"]:
+    """The angle of each bearing from that of the centre pixel."""
+    axis, _ = model.unproject(model.centre_px)
+    return torch.atan2(torch.linalg.cross(bearings, axis.expand_as(bearings)).norm(dim=-1), bearings @ axis)
+
+
 def _on_sphere(
     pixels: Float[np.ndarray, "n 2"],
     sigma_px: Float[np.ndarray, " n"],
@@ -139,8 +145,7 @@ def _on_sphere(
     with torch.no_grad():
         at = torch.as_tensor(pixels)
         bearings, valid = model.unproject(at)
-        axis, _ = model.unproject(model.centre_px)
-        angle = torch.atan2(torch.linalg.cross(bearings, axis.expand_as(bearings)).norm(dim=-1), bearings @ axis)
+        angle = off_axis_rad(model, bearings)
         supported = (angle >= supported_rad[0]) & (angle <= supported_rad[1])
         jacobian = model.unproject_jacobian(at)
     finite = torch.isfinite(jacobian).flatten(1).all(-1)

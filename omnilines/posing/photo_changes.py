@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy import sparse, stats
 from torch import Tensor
 
@@ -60,7 +60,8 @@ def change_doubts(
     seen = _of_first_photos(grown.seen, options.most_changing)
     if len(seen) == 0:
         return ()
-    tried = {kind: _tried(kind, seen, grown, models, cameras) for kind in MEANT}
+    given = _given(seen, grown)
+    tried = {kind: _tried(kind, given, models, cameras) for kind in MEANT}
     kind, best = min(tried.items(), key=lambda one: one[1].score)
     if best.alike <= options.change_doubt * best.each or best.chance >= options.change_significance:
         return ()
@@ -77,17 +78,49 @@ def _of_first_photos(seen: Observations, most: int) -> Observations:
     return own.chosen(torch.bincount(own.point)[own.point] > 1) if len(own) else own
 
 
-def _tried(kind: str, seen: Observations, grown: Grown, models: Mapping[str, CameraModel], cameras: Sequence[str]) -> _Kind:
-    poses = grown.cam_from_world[seen.photo]
+class _Given(NamedTuple):
+    """What is the same for all kinds: residuals and their derivatives, weighted, with the points to be eliminated."""
+
+    seen: Observations
+    photo: Int[np.ndarray, " n"]
+    """Of each observation, numbered anew."""
+    weight: Float[Tensor, "n 1"]
+    of_pose: Float[Tensor, "n 2 6"]
+    """Derivatives by the poses, without the weight."""
+    vector: Float[np.ndarray, " r"]
+    """The residuals."""
+    by_points: sparse.csr_array
+    inverse: sparse.bsr_array
+    """Of the normal matrix of the points."""
+
+
+def _given(seen: Observations, grown: Grown) -> _Given:
+    photo, point = (torch.unique(numbers, return_inverse=True)[1].numpy() for numbers in (seen.photo, seen.point))
+    poses, points = grown.cam_from_world[seen.photo], int(point.max()) + 1
     at = placed(poses, grown.points[seen.point])
-    residual, by_point = bearing_residual(seen.bearings, seen.rows, at)
+    residual, by_place = bearing_residual(seen.bearings, seen.rows, at)
     weight = (1 + residual.square().sum(-1) / (LOSS_SIGMAS * grown.scale) ** 2).rsqrt()[:, None]
-    of_pose = by_pose(by_point, at)
-    columns = torch.cat([of_pose, _by_terms(kind, seen, of_pose, [models[name] for name in cameras])], -1)
-    own = [cameras[photo] for photo in torch.unique(seen.photo).tolist()]
+    by_point = by_place @ poses.rotation * weight[..., None]
+    blocks = np.zeros((points, 3, 3))
+    np.add.at(blocks, point, (by_point.mT @ by_point).numpy())
+    inverse = sparse.bsr_array((np.linalg.pinv(blocks, rcond=OPEN, hermitian=True), np.arange(points), np.arange(points + 1)))
+    of_pose, vector = by_pose(by_place, at), (residual * weight).numpy().ravel()
+    return _Given(seen, photo, weight, of_pose, vector, _in_blocks(by_point.numpy(), point), inverse)
+
+
+def _in_blocks(values: Float[np.ndarray, "n 2 m"], block: Int[np.ndarray, " n"]) -> sparse.csr_array:
+    """A row for each residual, whose columns are those of the block of its observation."""
+    width, rows = values.shape[-1], np.arange(2 * len(values)).reshape(-1, 2, 1)
+    column = (block[:, None, None] * width + np.arange(width)).repeat(2, 1)
+    where = (np.broadcast_to(rows, values.shape).ravel(), column.ravel())
+    return sparse.csr_array((values.ravel(), where), (rows.size, (int(block.max()) + 1) * width))
+
+
+def _tried(kind: str, given: _Given, models: Mapping[str, CameraModel], cameras: Sequence[str]) -> _Kind:
+    terms = _by_terms(kind, given.seen, given.of_pose, [models[name] for name in cameras])
+    own = [cameras[photo] for photo in torch.unique(given.seen.photo).tolist()]
     of_camera = np.array([[name == one for one in dict.fromkeys(own)] for name in own], float)
-    by_point = by_point @ poses.rotation * weight[..., None]
-    return _compared(seen, residual * weight, by_point, columns * weight[..., None], of_camera)
+    return _compared(given, torch.cat([given.of_pose, terms], -1) * given.weight[..., None], of_camera)
 
 
 def _by_terms(kind: str, seen: Observations, of_pose: Float[Tensor, "n 2 6"], models: Sequence[CameraModel]) -> Tensor:
@@ -105,25 +138,10 @@ def _by_terms(kind: str, seen: Observations, of_pose: Float[Tensor, "n 2 6"], mo
     return found
 
 
-def _compared(
-    seen: Observations, residual: Tensor, by_point: Tensor, columns: Tensor, of_camera: Float[np.ndarray, "v c"]
-) -> _Kind:
+def _compared(given: _Given, columns: Float[Tensor, "n 2 k"], of_camera: Float[np.ndarray, "v c"]) -> _Kind:
     """Of terms that are the same in all photos of a camera, and of each; points are eliminated."""
-    photo, point = (torch.unique(numbers, return_inverse=True)[1].numpy() for numbers in (seen.photo, seen.point))
-    k, views, points = columns.shape[-1], int(photo.max()) + 1, int(point.max()) + 1
-    rows = np.arange(2 * len(seen)).reshape(-1, 2)
-
-    def matrix(values: np.ndarray, block: np.ndarray, blocks: int) -> sparse.csr_array:
-        width = values.shape[-1]
-        column = (block[:, None, None] * width + np.arange(width)).repeat(2, 1)
-        where = (np.broadcast_to(rows[..., None], values.shape).ravel(), column.ravel())
-        return sparse.csr_array((values.ravel(), where), (rows.size, blocks * width))
-
-    kept, gone = matrix(columns.numpy(), photo, views), matrix(by_point.numpy(), point, points)
-    blocks = np.zeros((points, 3, 3))
-    np.add.at(blocks, point, (by_point.mT @ by_point).numpy())
-    inverse = sparse.bsr_array((np.linalg.pinv(blocks, rcond=OPEN, hermitian=True), np.arange(points), np.arange(points + 1)))
-    vector = residual.numpy().ravel()
+    k, views, points = columns.shape[-1], len(of_camera), given.inverse.shape[0] // 3
+    kept, gone, inverse, vector = _in_blocks(columns.numpy(), given.photo), given.by_points, given.inverse, given.vector
     left = vector - gone @ (inverse @ (gone.T @ vector))
     coupling = gone.T @ kept
     normal, right = (kept.T @ kept - coupling.T @ (inverse @ coupling)).toarray(), kept.T @ left

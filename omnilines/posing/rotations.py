@@ -57,7 +57,7 @@ def agreeing_pairs(
     return [pair for pair, far in zip(pairs, off.tolist(), strict=True) if far < options.max_rotation_rad]
 
 
-def fits_turned(
+def fits_rotation(
     a: Float[np.ndarray, "m 3"],
     b: Float[np.ndarray, "m 3"],
     turned: Float[np.ndarray, "3 3"],
@@ -66,7 +66,6 @@ def fits_turned(
 ) -> bool:
     """Whether matches of two photos, which have another rotation j_from_i of their own, agree with this one as well, but for a
     little: things in one plane, or in a small part of the image, leave several possible."""
-
     rays = torch.as_tensor(a), torch.as_tensor(b)
     bound = np.append(np.full(3, options.max_rotation_rad / math.sqrt(3.0)), np.full(3, np.inf))
 
