@@ -92,8 +92,8 @@ def _contradicted(scene: Scene) -> list[Advice]:
         f"{' and '.join(moved).capitalize()} contradict the calibration: adjusted beside {'; beside '.join(by)}. Lines and poses "
         "are off by that, which no standard deviation holds."
     )
-    wrong = " If it finds nothing, the poses are wrong, as those of photos of repeating things." if "points" in moved else ""
-    return [Advice(limit, f"{CHECK_IT}{wrong} Or refine it: `refine` lines,poses,intrinsics.")]
+    wrong = " If the check bears it out, poses may be wrong, as of photos of repeating things." if "points" in moved else ""
+    return [Advice(limit, f"{CHECK_IT} Or refine it: `refine` lines,poses,intrinsics.{wrong}")]
 
 
 def sigma_with_supposed_m(scene: Scene) -> float:
